@@ -54,12 +54,14 @@ class RegistrationReport(Record):
         width_over_box, height_over_box: extents after the initial scale over those of the box.
         front: see `FrontEvidence`.
         before, after: LiDAR-to-actor distances before and after ICP.
-        icp_scale, icp_yaw, icp_translation: found by ICP (factor, radians, metres).
-        icp_iterations, icp_converged: how it ended.
+        icp_scale, icp_yaw, icp_translation: factor, yaw (radians) and translation (metres) that ICP
+            found.
+        icp_iterations: number of iterations that ICP did.
+        icp_converged: whether ICP stopped by its tolerance, see `IcpResult`.
         ground_gap: metres by which ICP would have lifted the wheels off the box's ground plane had
             it been free to.
-        lidar_points: on the track, all sweeps.
-        lidar_by_side: points near each face of the box.
+        lidar_points: number of LiDAR points on the track, all sweeps.
+        lidar_by_side: number of LiDAR points near each face of the box.
     """
 
     axes: str
@@ -103,7 +105,7 @@ class SourceView(Record):
     """One image that an actor was made from.
 
     Attributes:
-        camera, frame, timestamp_us: of the image.
+        camera, frame, timestamp_us: camera name, frame number and time of the image.
         azimuth: direction to the camera in the actor frame, radians.
     """
 
@@ -140,8 +142,8 @@ class CandidateRecord(Record):
     Attributes:
         generator, seed: what made it.
         label: what tells it from the others of its generator; or why there is none.
-        score: None where it could not be made.
-        chosen: whether it is the actor.
+        score: score of the candidate; None where it could not be made.
+        chosen: whether this candidate is the actor.
     """
 
     generator: str
@@ -169,12 +171,13 @@ class Refinement(Record):
     """What following all images of the log did to an actor.
 
     Attributes:
-        images: that were followed, and `held_back` of the log's training images that judged.
+        images: number of images that were followed.
+        held_back: number of the log's training images that judged.
         left_out: why other images that show the box were not used, and how many.
-        loss_before, loss_bent, loss_after: on the held-back images: as registered, after the body
-            was moved and bent, at the end. None where none could be held back.
+        loss_before, loss_bent, loss_after: losses on the held-back images: as registered, after the
+            body was moved and bent, at the end. None where no image could be held back.
         kept: whether the refined actor was better there; if not, the registered one stayed.
-        steps: of the free stage until it stopped.
+        steps: number of steps of the free stage until it stopped.
         moved: (3,) metres; turned: radians; grew: (3,) factors along, across, up.
         pose_correction: root mean square of the track's corrections at the images, metres.
         shadow: factor of the contact shadow's opacity.
@@ -220,7 +223,7 @@ class Provenance(SourceView):
     """Where an actor comes from: its source image, which is the best view, and more.
 
     Attributes:
-        generator, seed, details: of the asset.
+        generator, seed, details: generator, seed and details of the asset.
         sides_seen: sides of the box that faced the camera.
         mask: quality of the mask.
         observation: why that image was taken, in words.
@@ -280,7 +283,8 @@ class Actor:
         provenance: see `Provenance`.
         source: (H, W, 4) uint8 crop it was made from.
         low_pass: the filter that the vehicle's Gaussians were made for.
-        shares: where each Gaussian comes from; None for an actor that was only registered.
+        shares: shares that tell where each Gaussian comes from; None for an actor that was only
+            registered.
         trajectory: the track's poses as corrected with the actor, world frame; None likewise.
         sun: (D,) what its shadow in the log says of the sun, see
             `recast.actors.refine.surroundings.ShadowEvidence`; None likewise.

@@ -44,7 +44,7 @@ class AxisConvention:
     """How an asset's frame relates to the actor frame (x forward, y left, z up).
 
     Attributes:
-        name: for messages.
+        name: name of the convention, for messages.
         forward, up: signed axes of the asset, such as "+x" or "-z". The yaw search of the
             registration corrects a wrong `forward`, but not a wrong `up`.
         declares_front: whether `forward` is known to be the vehicle's, not only an axis of the
@@ -183,8 +183,8 @@ def postures(points: Array, size: ArrayLike) -> list[Posture]:
     """All six postures, the most likely first.
 
     Args:
-        points: (N, 3) of an outer surface (`outer_surface`), in any unit; lying by quarters of a
-            turn, and turned about the vertical by any angle.
+        points: (N, 3) points of an outer surface (`outer_surface`), in any unit; lying by quarters
+            of a turn, and turned about the vertical by any angle.
         size: (3,) length, width, height of the box that the vehicle stands for.
     """
     points = np.asarray(points, np.float64)[:: max(1, len(points) // _POINTS)]

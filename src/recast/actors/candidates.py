@@ -78,7 +78,7 @@ def choose(
 
     Args:
         makers: what makes each candidate from the observation.
-        evidence: of the track.
+        evidence: evidence of the track.
         progress: called with the number of candidates done, and of all.
 
     Raises:

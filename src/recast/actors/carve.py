@@ -123,7 +123,7 @@ class VisualHull:
     """Cells that the masks agree on.
 
     Attributes:
-        centres: (M, 3) of the solid cells, object frame, metres.
+        centres: (M, 3) centres of the solid cells, object frame, metres.
         edge: edge length of a cell, metres.
     """
 
@@ -173,11 +173,11 @@ def settle_masks(
     """The sightings with their trust lowered where mask and visual hull differ.
 
     Args:
-        size: (3,) of the box, metres.
+        size: (3,) size of the box, metres.
 
     Returns:
-        those that agree with the others, and those that do not: their masks overlap with the
-        hull's outline by less than half.
+        Sightings that agree with the others, and sightings that do not: their masks overlap with
+        the hull's outline by less than half.
     """
     hull = carve(sightings, size)
     kept, refused = [], []

@@ -36,8 +36,8 @@ class Shares:
     """Where each of N Gaussians comes from; with the invented share they add up to one.
 
     Attributes:
-        seen: (N,) float32 in [0, 1], from images of it.
-        mirrored: (N,) float32 in [0, 1], from images of the other side.
+        seen: (N,) float32 in [0, 1], share from images of the Gaussian's own side.
+        mirrored: (N,) float32 in [0, 1], share from images of the other side.
     """
 
     seen: Tensor
@@ -116,9 +116,9 @@ class CoverageMeter:
     the scene. Only the part of the image that shows the vehicle is drawn, and nothing beyond it.
 
     Args:
-        scene: with the vehicle, see `recast.actors.insert`.
+        scene: scene with the vehicle, see `recast.actors.insert`.
         track_id, shares: the vehicle, and the shares of its Gaussians.
-        device: where it is drawn, see `recast.splats.pick_device`.
+        device: device to draw on, see `recast.splats.pick_device`.
 
     Raises:
         InputError: there is no such device, or gsplat is missing.
@@ -155,7 +155,7 @@ class CoverageMeter:
         """Coverage in one image.
 
         Args:
-            camera: rectified.
+            camera: rectified camera.
             camera_from_world: (4, 4).
             poses: `world_from_actor` (4, 4) by track id; parked vehicles that it does not name
                 stand where they are.

@@ -57,7 +57,7 @@ class BackgroundRemover(Protocol):
         """The mask of the one vehicle, whole, that a picture (H, W, 3) uint8 RGB shows.
 
         Args:
-            category: of the vehicle, see `recast.logs.Track`.
+            category: category of the vehicle, see `recast.logs.Track`.
 
         Raises:
             InputError: no vehicle was found.

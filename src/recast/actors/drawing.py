@@ -37,7 +37,7 @@ def draw(
     Args:
         gaussians: object frame.
         camera_from_object: (4, 4).
-        camera: rectified.
+        camera: rectified camera.
         background: display colour; black if None.
     """
     return rasterize(
@@ -83,8 +83,8 @@ def coloured_by_shares(actor: Actor, colours: Sequence[Sequence[float]]) -> Acto
     """The actor in the colours of its shares, shaded by which way its surface faces.
 
     Args:
-        actor: a refined one.
-        colours: of what was seen, mirrored and invented, three times RGB in [0, 1].
+        actor: refined actor.
+        colours: colours of what was seen, mirrored and invented, three times RGB in [0, 1].
 
     Raises:
         ValueError: the actor has no shares.
@@ -117,7 +117,7 @@ def orbit(
         size: (3,) extents of what should fill the picture, same unit.
         views: number of pictures, counter-clockwise seen from above.
         width, height: pixels.
-        elevation: of the camera above the origin, radians.
+        elevation: elevation of the camera above the origin, radians.
         background: display colour behind it.
         low_pass: the filter that they were made for.
 

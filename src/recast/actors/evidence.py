@@ -41,7 +41,7 @@ class Sighting:
         mask: (H, W) float32 in [0, 1], 1 on the vehicle.
         trust: (H, W) float32 in [0, 1]: how far `mask` is believed; 0 where something hides the
             vehicle or the image is not usable.
-        weight: in [0, 1], what the image counts beside the others: size, sharpness, occlusion.
+        weight: weight in [0, 1] of the image beside the others: size, sharpness, occlusion.
     """
 
     camera_name: str
@@ -74,9 +74,9 @@ class Evidence:
     Attributes:
         track_id, category: id and category of the track.
         size: (3,) length, width, height of the logged box, metres.
-        sightings: in order of time.
+        sightings: sightings in order of time.
         hits: (N, 3) float32 LiDAR points on the vehicle, object frame.
-        free: where LiDAR rays passed through the box.
+        free: cells of the box that LiDAR rays passed through.
         left_out: why images that show the box are not among the sightings, one entry an image.
     """
 

@@ -32,10 +32,10 @@ class Asset:
     """A generated vehicle before registration.
 
     Attributes:
-        gaussians: in the generator's own frame and units.
-        axes: what that frame is.
-        generator: name, for the record.
-        seed: that made it.
+        gaussians: Gaussians in the generator's own frame and units.
+        axes: axis convention of that frame.
+        generator: name of the generator, for the record.
+        seed: seed that the asset was made with.
         details: facts about how it was made, plain values.
         low_pass: filter that the Gaussians were made for.
     """
@@ -109,8 +109,8 @@ class ImageTo3DGenerator:
         image_encoder: weights of the published image encoder, where the folder has none.
         limits: what counts as a failed structure; three further seeds by default, since a whole
             run should not end because one of them failed.
-        name: for the record.
-        axes: of what the model makes; published ones give any heading.
+        name: name of the generator, for the record.
+        axes: axis convention of what the model makes; published models give any heading.
         offers: number of seeds that are offered to choose from.
         mode: how several views are used, see `recast.trellis.sampler.Condition`.
 

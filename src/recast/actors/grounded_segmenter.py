@@ -136,10 +136,10 @@ def choose_box(
     not; of overlaps that are as good as equal, the higher score. The reason names the prompt.
 
     Args:
-        detections: of the crop, in any order.
+        detections: detections in the crop, in any order.
         logged: (4,) see `logged_rectangle`.
         rule: thresholds.
-        prompt: that was asked for.
+        prompt: prompt that the detector was given.
     """
     found = [d for d in detections if d.score >= rule.score]
     if not found:
@@ -186,7 +186,7 @@ class GroundedSamSegmenter:
             (facebook/sam-vit-base, -large or -huge), each as its Hugging Face repository:
             config.json, model.safetensors, preprocessor_config.json and, of the first, the
             tokenizer's files. Nothing is downloaded, no pickle is read, torchvision is not needed.
-        rule: which detection is the logged vehicle.
+        rule: rule that says which detection is the logged vehicle.
         device: torch device; None is CUDA where there is one, else the CPU.
 
     Raises:
@@ -312,7 +312,7 @@ def choose_mask(masks: Mask, predicted: Array, target: SegmentationTarget, box: 
 
     Args:
         predicted: (M,) overlap with the true mask as the network expects it, 0 to 1.
-        box: (4,) that the masks were prompted with, pixels.
+        box: (4,) box that the masks were prompted with, pixels.
     """
     scores = [
         value + agreement(mask, target, box) if mask.any() else -1.0

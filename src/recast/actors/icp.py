@@ -153,7 +153,7 @@ class IcpLimits:
         yaw: largest turn either way, radians.
         shift: longest translation, metres.
         trim: share of the worst points left out.
-        iterations: at most.
+        iterations: largest number of iterations.
         tolerance: stop when the largest move of a surface point falls below this, metres.
     """
 
@@ -187,8 +187,8 @@ class IcpResult:
     Attributes:
         scale, yaw: factor and radians.
         translation: (3,) metres.
-        iterations: done.
-        converged: whether it stopped by `tolerance` and not by `iterations`.
+        iterations: number of iterations done.
+        converged: whether ICP stopped by `tolerance` and not by `iterations`.
     """
 
     scale: float

@@ -97,8 +97,8 @@ def actor_light(scene: SceneLight, actor: Actor, trajectory: Trajectory) -> Acto
     """What is needed to light an actor anew in a street.
 
     Args:
-        trajectory: where the track was when the log saw it. For an actor that follows all images
-            every pose counts the same; for one made of one image, the pose at that image.
+        trajectory: trajectory of the track when the log saw it. For an actor that follows all
+            images every pose counts the same; for one made of one image, the pose at that image.
 
     Raises:
         ValueError: the actor has no surface, see `outer_surface`.

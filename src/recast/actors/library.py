@@ -166,7 +166,7 @@ class LibraryGenerator:
         folder: the library; `clip` in it may hold a CLIP model, whose image similarity then counts.
         axes: orientation of its files, see `recast.actors.axes_of`.
         tried: vehicles that are placed in the box, the best by size and mean colour.
-        offered: of these, how many `candidates` offers.
+        offered: number of the tried vehicles that `candidates` offers.
 
     Raises:
         InputError: no such folder, or no vehicle in it; CLIP's files are incomplete.

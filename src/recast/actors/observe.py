@@ -45,7 +45,7 @@ def observe(
     Args:
         cameras: consider only these camera streams; all where none is named.
         views: how many views to take at most; those after the best are its `further`.
-        usable: which frames may be looked at; all if None.
+        usable: tells which frames may be looked at; all if None.
 
     Raises:
         InputError: no such track or camera, a track that is never visible, or one with fewer than
@@ -211,11 +211,11 @@ def observation_of_view(
     Args:
         rgba: (H, W, 4) uint8, alpha on the vehicle; colours without alpha are kept, generators
             read the light from them.
-        camera: of the picture, without distortion.
+        camera: camera of the picture, without distortion.
         camera_from_object: (4, 4), object frame: box centre, x forward, y left, z up.
         size: (3,) length, width, height of the vehicle's box, metres.
-        name: of the picture, for the record.
-        category: see `recast.logs.Track`.
+        name: name of the picture, for the record.
+        category: category of the vehicle, see `recast.logs.Track`.
 
     Raises:
         ValueError: the mask is empty.

@@ -81,7 +81,7 @@ def front_votes(
     Args:
         as_is, turned: agreement with the asset's forward axis along the box's, and the other way.
         declared: whether the asset's axis convention says where its front is.
-        heading: from `heading_agreement`.
+        heading: agreement of heading and motion, from `heading_agreement`.
     """
 
     def vote(difference: float, unit: float) -> float:
@@ -105,7 +105,7 @@ class Start:
     """asset_placed = matrix (scale x), with the asset's axes turned upright already.
 
     Attributes:
-        yaw: about the vertical, radians.
+        yaw: turn about the vertical, radians.
         scale: metres per unit of the asset.
         matrix: (4, 4) rigid part, applied after the scale.
     """
@@ -173,7 +173,7 @@ class PlacementReport:
 
     Attributes:
         axes: convention the asset came in.
-        yaw: by which it was turned after that, radians in [-pi, pi).
+        yaw: angle by which it was turned after that, radians in [-pi, pi).
         scale: asset units to metres, refinement included.
         shift: (3,) metres by which the refinement moved it from the middle of the box's floor.
         votes: evidence for the orientation nearest to the declared forward axis, in units.

@@ -41,7 +41,7 @@ def register(asset: Asset, observation: Observation, log: DrivingLog, track: Tra
     """Place an asset in the actor frame of a track.
 
     Args:
-        observation: that it was made from.
+        observation: observation that the asset was made from.
         track: the vehicle it stands for.
 
     Raises:

@@ -35,7 +35,7 @@ class SegmentationTarget:
         object_points: (N, 3) LiDAR points on the object over all sweeps, object frame.
         other_points: (M, 3) LiDAR points of the scene near this time that are not on the object,
             camera frame; empty where there was no sweep.
-        category: of the object, see `recast.logs.Track`.
+        category: category of the object, see `recast.logs.Track`.
     """
 
     image: NDArray[np.uint8]

@@ -29,9 +29,9 @@ class JsonService:
     """Where a program listens, and what it is called in errors.
 
     Attributes:
-        name: of the part that it stands for, such as "planner neuroncap:localhost:9000".
+        name: name of the part that it stands for, such as "planner neuroncap:localhost:9000".
         host: name or address, an IPv6 address without brackets.
-        port: 1 to 65535.
+        port: port number, 1 to 65535.
     """
 
     name: str
@@ -83,7 +83,7 @@ class JsonService:
         """The bytes that it answers.
 
         Args:
-            path: with its slash, such as "/infer".
+            path: path with its slash, such as "/infer".
             value: JSON-able body of a POST.
             seconds: wall-clock limit of all of it, from connecting to the last byte.
             most_bytes: longest answer.

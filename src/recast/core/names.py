@@ -36,7 +36,7 @@ def member(folder: str | Path, name: str, where: str | Path, field: str) -> Path
     Links inside of the folder are followed: caches of downloaded files consist of them.
 
     Args:
-        name: relative, with `/` between components.
+        name: relative path, with `/` between components.
         where, field: record and member that name it, for messages.
 
     Raises:

@@ -35,7 +35,7 @@ class Registry:
         group: entry-point group in which other packages announce theirs.
         built_in: name to code.
         members: attributes that tell an object of the kind from other objects.
-        protocol: where these members are documented, for messages.
+        protocol: full name of the protocol that documents these members, for messages.
         makes_parts: whether code is a class or function that returns the part when called; if
             False, it is the part.
         folder: code that reads a part from a folder, called with its path; empty if there is none.

@@ -24,7 +24,7 @@ class Bars:
     """Draws while it is entered; a subclass adds tasks to `self._bars`.
 
     Args:
-        console: where to; the standard one if None.
+        console: console to draw on; the standard one if None.
     """
 
     def __init__(
@@ -49,7 +49,7 @@ class ProgressBar(Bars):
 
     Args:
         what: name of the pieces, such as "pictures".
-        console: where to; the standard one if None.
+        console: console to draw on; the standard one if None.
         total: number of pieces; None until a call tells it.
     """
 

@@ -22,7 +22,8 @@ def on_ray(address: str, workers: int, gpu: bool = False) -> WorkerPool:
     connection that this process has already is used, and stays.
 
     Args:
-        address: of the cluster, such as "auto" or "ray://head:10001"; "local" starts one here.
+        address: address of the cluster, such as "auto" or "ray://head:10001"; "local" starts one
+            here.
 
     Raises:
         InputError: Ray is not installed; when the pool begins, that there is no cluster.

@@ -200,7 +200,7 @@ class ParcelDepot:
     """A `Depot` of parcels that came with a job.
 
     Args:
-        tickets: by reference, what `fetch` turns into a parcel.
+        tickets: tickets by reference; `fetch` turns a ticket into a parcel.
     """
 
     def __init__(self, tickets: Mapping[str, object], fetch: Fetch) -> None:

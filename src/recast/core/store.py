@@ -69,7 +69,7 @@ class Store:
 
     Args:
         root: local folder; it comes into being with the first artefact.
-        depot: where artefacts come from that are not here, and go to when they are made.
+        depot: depot that artefacts come from if they are not here, and go to when they are made.
         only_finds: make nothing: `make` raises `NotInStoreError`.
 
     Raises:

@@ -40,7 +40,7 @@ def read_torch_file(path: Path, mend: str, field: str = "file", arrays: bool = F
     Args:
         mend: what the user can do about a damaged file.
         field: what the file is, for messages.
-        arrays: whether it may hold NumPy's numbers and arrays, see `recast.core.pickled`.
+        arrays: whether the file may hold NumPy's numbers and arrays, see `recast.core.pickled`.
 
     Raises:
         InputError: the file is missing or damaged, or holds other objects than tensors, plain

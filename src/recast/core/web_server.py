@@ -25,7 +25,7 @@ class BodyError(Exception):
     """A body that is not taken.
 
     Attributes:
-        status: of HTTP.
+        status: HTTP status code.
     """
 
     def __init__(self, status: int, message: str) -> None:
@@ -63,7 +63,7 @@ class WebServer(uvicorn.Server):
 
     Args:
         host: address to listen on. The channel is not secured: everybody who reaches it may ask.
-        port: 0 takes any that is free, see `port`.
+        port: port to listen on; 0 takes any that is free, see `port`.
 
     Raises:
         InputError: the port is taken, or may not be used; or the address is none of this machine.

@@ -49,7 +49,7 @@ class WorkerPool(Protocol):
 
         Args:
             start: see `Start`.
-            arguments: for it, after the worker's number, which counts from 0.
+            arguments: arguments of `start` after the worker's number, which counts from 0.
             take: gives the next job, or None where there is none now. It is asked again after each
                 outcome, so that outcomes may bring new jobs; it ends when nothing is at work.
             finished: what stays of an earlier try, such as "finished vehicles".
@@ -179,7 +179,7 @@ def _cancelling(executor: ProcessPoolExecutor, finished: str) -> Iterator[None]:
     """While jobs of an executor are waited for: cancel what is left when anything goes wrong.
 
     Args:
-        executor: of the jobs.
+        executor: executor of the jobs.
         finished: what stays of an earlier try, such as "finished vehicles".
 
     Raises:

@@ -87,7 +87,7 @@ def check(
     """Which checks hold throughout: (..., number of limits), in the order of `limits`.
 
     Args:
-        signals: (..., any length) by name.
+        signals: (..., any length) signals by name.
         strict: whether a value on the limit fails, as in nuPlan.
     """
     passed: list[BoolArray] = []
@@ -106,7 +106,7 @@ def plan_signals(predictions: ArrayLike, dt: float = 0.1) -> dict[str, Array]:
     headings of a plan that ends within 1 m of its start count as 0.
 
     Returns:
-        by name of the check: (..., 40) and shorter, SI units.
+        signals by name of the check: (..., 40) and shorter, SI units.
     """
     plan = np.asarray(predictions, np.float64)
     plan = np.concatenate([np.zeros_like(plan[..., :1, :]), plan], axis=-2)

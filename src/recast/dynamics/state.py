@@ -53,10 +53,10 @@ class VehicleParameters:
     The defaults are nuPlan's Chrysler Pacifica, the vehicle the published planners drive.
 
     Attributes:
-        width: over the body.
-        front_length: rear axle to front bumper.
-        rear_length: rear axle to rear bumper.
-        wheelbase: rear axle to front axle.
+        width: width of the body.
+        front_length: distance from the rear axle to the front bumper.
+        rear_length: distance from the rear axle to the rear bumper.
+        wheelbase: distance from the rear axle to the front axle.
     """
 
     width: float = 2.297
@@ -133,8 +133,8 @@ def initial_state(
 
     Args:
         timestamps_us: (T,) int64 microseconds, strictly increasing.
-        world_from_rig: (T, 4, 4).
-        timestamp_us: within the recorded interval.
+        world_from_rig: (T, 4, 4) rig poses.
+        timestamp_us: time within the recorded interval, microseconds.
 
     Raises:
         ValueError: the time lies outside the log, or less than `dt` is recorded around it.

@@ -21,7 +21,7 @@ class BicycleModel:
     Attributes:
         accel_time_constant: lag of the acceleration behind its command, seconds; 0 for none.
         steering_time_constant: lag of the steering angle, seconds; 0 for none.
-        max_steering_angle: radians.
+        max_steering_angle: largest steering angle, radians.
     """
 
     accel_time_constant: float = 0.2
@@ -119,8 +119,8 @@ def lqr_command(
     Args:
         state: (..., 11) current state.
         poses: (..., M + 1, 3) reference poses.
-        profile: of those poses, M values.
-        index: which reference pose belongs to the current state, 0 <= index < M.
+        profile: profile of those poses, M values.
+        index: index of the reference pose that belongs to the current state, 0 <= index < M.
     """
     weights = weights or LqrWeights()
     state, poses = np.asarray(state, np.float64), np.asarray(poses, np.float64)
@@ -239,10 +239,10 @@ def track(
     """Follow reference poses for some steps.
 
     Args:
-        state: (..., 11) at the time of `poses[..., 0, :]`; acceleration, steering angle and yaw
-            rate carry over into the motion.
+        state: (..., 11) state at the time of `poses[..., 0, :]`; acceleration, steering angle and
+            yaw rate carry over into the motion.
         poses: (..., M + 1, 3) world poses of the rear axle, `dt` seconds apart.
-        steps: 1 to M, of `dt` seconds.
+        steps: number of steps of `dt` seconds, 1 to M.
         vehicle: gives the wheelbase.
 
     Returns:

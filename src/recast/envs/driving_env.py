@@ -60,15 +60,15 @@ class DrivingEnv(gymnasium.Env[dict[str, Any], NDArray[np.float32]]):
 
     Args:
         log: a log, or its folder.
-        scene: as for `Simulator`, or the folder of a scene.
+        scene: scene as for `Simulator`, or the folder of a scene.
         actors: controlled actors by track id, with motions or their names; the first is the target.
         action: "waypoints" (40, 3), or "controls": acceleration and steering rate (2,).
-        cameras, scale, device: as for `Simulator`.
-        reward: a number for what happened; None for `ProgressReward()`.
+        cameras, scale, device: the same as for `Simulator`.
+        reward: function that gives a number for what happened; None for `ProgressReward()`.
         terminate: which of "collision" and "off_road" end the episode.
-        most_actors: rows of `actors` in the observation; further road users are left out.
+        most_actors: number of rows of `actors` in the observation; further road users are left out.
         render_mode: "rgb_array" for `render`, which needs a scene, or None.
-        settings: as for `Simulator`.
+        settings: settings of the rollout, as for `Simulator`.
 
     Raises:
         InputError: bad arguments, see `Simulator`.

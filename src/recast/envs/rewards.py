@@ -21,15 +21,15 @@ class StepFacts:
 
     Attributes:
         steps: simulation steps that were executed.
-        seconds: the same in time.
+        seconds: duration of these steps.
         progress: metres that the ego advanced along the route.
         lateral: metres from the route to the ego's rear axle now, left positive.
-        speed: m/s, now.
+        speed: speed of the ego now, m/s.
         collision: whether the ego overlapped a controlled actor.
         overlap: largest overlap, square metres.
         off_road: whether a corner of the ego left the drivable area by more than 0.3 m; False
             without a map.
-        off_road_distance: how far, metres; 0 without a map.
+        off_road_distance: how far the ego left the drivable area, metres; 0 without a map.
         route_end: whether the ego came to the end of the route.
     """
 
@@ -61,8 +61,8 @@ class ProgressReward:
     """Progress along the route, less a penalty in each step with a collision or off the road.
 
     Attributes:
-        progress: per metre.
-        collision, off_road: penalties.
+        progress: reward for each metre along the route.
+        collision, off_road: penalty for a step with a collision, and for one off the road.
     """
 
     progress: float = 1.0
@@ -92,7 +92,7 @@ def step_facts(
     """The facts of the states after `first`, by the metrics' own functions.
 
     Args:
-        rollout: up to now.
+        rollout: rollout up to now.
         first: step at the last observation.
         region: drivable area, see `recast.logs.hdmap`; None without a map.
         route_end: whether the ego came to the end of the route.

@@ -151,7 +151,7 @@ def framed(mask: Mask, margin: float = 0.1) -> Window:
     """A square around a mask (H, W), whole even where the mask reaches the image's edge.
 
     Args:
-        mask: with at least one pixel.
+        mask: mask with at least one pixel.
         margin: share of the mask's longer side left free on every side.
     """
     rows, columns = np.flatnonzero(mask.any(axis=1)), np.flatnonzero(mask.any(axis=0))
@@ -172,7 +172,7 @@ class TrackView:
     """One held-out image of a track.
 
     Attributes:
-        rectangle: of the box, whole pixels.
+        rectangle: rectangle of the box, whole pixels.
         psnr: dB in the rectangle by model, at most 100.
         ssim: mean over the rectangle by model.
         picture: (H, W, 3) box and margin: the recording, then each model.
@@ -193,7 +193,7 @@ def held_out_track(
     """Score the held-out images that show a track well enough, in which nothing is moved.
 
     Args:
-        config: of the scenes' training: cameras, scale and split.
+        config: configuration of the scenes' training: cameras, scale and split.
         models: scenes by name, each with a model of the track. The first one's poses say where the
             box is.
 

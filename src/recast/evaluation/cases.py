@@ -45,9 +45,9 @@ class ActorView:
     """A background-free picture of a vehicle and its camera; can be sent to other processes.
 
     Attributes:
-        name: of the picture within the vehicle.
-        load: gives (H, W, 4) uint8, straight alpha; raises InputError.
-        camera: without distortion.
+        name: name of the picture within the vehicle.
+        load: function that gives (H, W, 4) uint8, straight alpha; raises InputError.
+        camera: camera without distortion.
         camera_from_actor: (4, 4), actor frame: box centre, x forward, y left, z up.
     """
 
@@ -68,7 +68,7 @@ class ActorCase:
     """One vehicle to make and judge.
 
     Attributes:
-        category: of its label, see `recast.logs.Track`.
+        category: category of its label, see `recast.logs.Track`.
         size: (3,) length, width, height of its box, metres.
         inputs: views it may be made and placed by; a generator of one picture gets the first.
         targets: reserved views.

@@ -101,8 +101,8 @@ def realised_future(
 
     Args:
         actor: (S+1, 4) x, y, heading, speed of the box centre.
-        steps: (C,) at which the plans were made.
-        instants: N, if not those below 4 s.
+        steps: (C,) steps at which the plans were made.
+        instants: number N of instants, if not those below 4 s.
     """
     actor = np.asarray(actor, np.float64)
     index = np.asarray(steps, np.int64)[:, None] + np.arange(instants or _instants(dt))
@@ -115,7 +115,7 @@ def constant_velocity_future(actor: ArrayLike, steps: ArrayLike, dt: float = 0.1
     """Actor poses (C, N, 3) at 0, dt, ... below 4 s after each step, at that step's velocity.
 
     Args:
-        actor, steps: as for `realised_future`.
+        actor, steps: states of the actor and steps of the plans, as for `realised_future`.
     """
     actor = np.asarray(actor, np.float64)
     now = np.asarray(steps, np.int64)[:, None]
@@ -144,7 +144,7 @@ def time_to_collision(
         ego_size, actor_size: (>=2,) length and width in metres.
         ego_centre_offset: metres from the rear axle to the ego's box centre.
         actor_future: (C, N, 3) box centre at the same times.
-        steps: (C,) of the plans, for the reason only.
+        steps: (C,) steps of the plans, for the reason only.
         dt: seconds between waypoints.
         name: name of the actor, for the reason.
     """
@@ -174,8 +174,8 @@ def least_time(times: Sequence[TimeToCollision]) -> TimeToCollision:
     """TTC over several actors: the least one.
 
     Args:
-        times: of the same plans with each actor, at least one. Of equal ones the first in this
-            order gives the reason.
+        times: times of the same plans with each actor, at least one. Of equal ones the first in
+            this order gives the reason.
     """
     if any(one.ttc.value is None for one in times):
         return next(one for one in times if one.ttc.value is None)

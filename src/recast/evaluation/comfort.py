@@ -109,8 +109,8 @@ def com_driven(states: ArrayLike, dt: float = 0.1) -> Comfort:
     than 15 states.
 
     Args:
-        states: (S+1, 11) of the ego.
-        dt: seconds between them.
+        states: (S+1, 11) states of the ego.
+        dt: seconds between states.
     """
     every = max(1, round(_NUPLAN_DT / dt))
     if abs(every * dt - _NUPLAN_DT) > 1e-9:

@@ -28,8 +28,9 @@ class FeatureDistance:
     """A number from the cosine between the features of two images, seen through a model.
 
     Args:
-        key: of `FEATURE_KINDS`.
-        features: from pixels (1, 3, S, S), normalised as the model wants them, to (1, C).
+        key: key of `FEATURE_KINDS`.
+        features: function from pixels (1, 3, S, S), normalised as the model wants them, to features
+            (1, C).
         processor: image processor of the model.
     """
 
@@ -65,8 +66,8 @@ def load_clip(folder: Path) -> FeatureDistance:
     """CLIP image similarity: 100 times the cosine between image embeddings.
 
     Args:
-        folder: of a CLIP model, both towers or the vision tower with its projection, in the files
-            of its Hugging Face repository.
+        folder: folder of a CLIP model, both towers or the vision tower with its projection, in the
+            files of its Hugging Face repository.
 
     Raises:
         InputError: see `PretrainedFolder.read`.
@@ -79,8 +80,8 @@ def load_dino(folder: Path) -> FeatureDistance:
     """DINOv2 feature distance: 1 minus the cosine between class tokens after the final norm.
 
     Args:
-        folder: of a DINOv2 model, with or without registers, in the files of its Hugging Face
-            repository.
+        folder: folder of a DINOv2 model, with or without registers, in the files of its Hugging
+            Face repository.
 
     Raises:
         InputError: see `PretrainedFolder.read`.
@@ -108,7 +109,7 @@ class FeatureKind:
     Attributes:
         score: column of the comparison of two pictures, None where there is none.
         frechet: column of the Frechet distance, None where there is none.
-        compare: from the features (D,) of two pictures to the score.
+        compare: function from the features (D,) of two pictures to the score.
     """
 
     score: str | None
@@ -129,7 +130,7 @@ class Embedder(Protocol):
     """Features of a picture.
 
     Attributes:
-        key: of `FEATURE_KINDS`.
+        key: key of `FEATURE_KINDS`.
     """
 
     key: str
@@ -172,8 +173,8 @@ class NetworkFeatures:
     """Features of a network that looks at the vehicle before black.
 
     Args:
-        key: of `FEATURE_KINDS`.
-        embed: from an image (H, W, 3) in [0, 1] to (D,).
+        key: key of `FEATURE_KINDS`.
+        embed: function from an image (H, W, 3) in [0, 1] to features (D,).
     """
 
     def __init__(self, key: str, embed: Callable[[Array], Array]) -> None:

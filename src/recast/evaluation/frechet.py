@@ -60,7 +60,7 @@ class FeatureStats:
 
     Attributes:
         count: number of pictures; 0 is allowed.
-        mean: (D,) of their features.
+        mean: (D,) mean of the pictures' features.
         scatter: (D, D) sum of the outer products of features less their mean.
     """
 
@@ -144,7 +144,7 @@ def frechet_bootstrap(
     depend on each other: workers may share them.
 
     Args:
-        first, second: by scene, the same scenes.
+        first, second: statistics of the two sets by scene; both have the same scenes.
         draws: (K, n) positions in the sorted names of the scenes, as of
             `rng.integers(0, n, (K, n))`; one array for all arms makes their differences paired.
 

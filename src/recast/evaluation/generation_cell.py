@@ -44,11 +44,11 @@ class Cell:
 
     Attributes:
         key: hash of all that decides the contents; another one makes the cell stale.
-        facts: about how it was made and placed, plain values.
+        facts: facts about how it was made and placed, plain values.
         views: names of the views it was looked at in.
-        scores: of each view, by key of `STUDY_COLUMNS`; none for the truth.
-        features: (V, D) by name of the features.
-        failure: why it could not be made; then there are no views.
+        scores: scores of each view, by key of `STUDY_COLUMNS`; none for the truth.
+        features: (V, D) features of the views, by name of the features.
+        failure: reason why it could not be made; then there are no views.
     """
 
     key: str
@@ -119,7 +119,7 @@ def place(
     """Gaussians in the actor frame, and plain facts on how they were placed.
 
     Args:
-        asset: from an `ActorGenerator`.
+        asset: asset from an `ActorGenerator`.
         size: (3,) length, width, height of the box, metres.
         observations: conditioning views with cameras; only `views` looks at them.
         how: see `Placement`.

@@ -124,7 +124,7 @@ class Inception:
 
     Args:
         weights: kernel and offset of every convolution, batch normalisation folded in.
-        fid: whether it is the FID's network.
+        fid: whether the network is the FID's.
     """
 
     def __init__(self, weights: Mapping[str, tuple[Tensor, Tensor]], fid: bool) -> None:

@@ -52,12 +52,13 @@ class StudyFacts:
 
     Attributes:
         set: name of the folder.
-        models: by name, last part of the path or name of the generator, and hash of its content.
-        seed: of everything random.
+        models: models by name: last part of the path or name of the generator, and hash of its
+            content.
+        seed: seed of everything random.
         placement: see `recast.evaluation.generation_cell`.
         perturbations: the configuration; None where all inputs were clean.
         measures: weights that were given, as `models`.
-        samples: of the bootstrap.
+        samples: number of bootstrap samples.
         targets: see `recast.evaluation.cases`.
         beside: rows of the paper by name of the row they stand beside.
     """

@@ -70,10 +70,10 @@ class StudyBlock:
     Attributes:
         identities: vehicles that every model made; all figures are over these.
         views: pictures that they were compared in.
-        failures: by model and vehicle, why one could not be made.
-        rows: of the models, in their order.
-        differences: of consecutive models.
-        vehicles: by vehicle and model, mean scores over its views.
+        failures: reason why a vehicle could not be made, by model and vehicle.
+        rows: rows of the models, in their order.
+        differences: differences of consecutive models.
+        vehicles: mean scores over a vehicle's views, by vehicle and model.
     """
 
     condition: str
@@ -96,9 +96,10 @@ def summarize(
     """Table and paired differences of one condition.
 
     Args:
-        cells: by model, one for every vehicle.
+        cells: cells by model, one for every vehicle.
         truth: the photographs' features, by vehicle.
-        seed, samples: of the bootstrap; every difference sees the same draws.
+        seed: seed of the bootstrap; every difference sees the same draws.
+        samples: number of bootstrap samples.
 
     Raises:
         ValueError: no vehicle was made by every model.

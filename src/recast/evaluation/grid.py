@@ -31,17 +31,17 @@ class GridRow:
 
     Attributes:
         scene: its id in the grid.
-        world, seed: of a synthetic scene, else None.
+        world, seed: world and seed of a synthetic scene, else None.
         log: name of the log; None where there is none.
         track_id: the controlled actor; None where the scene failed before it was known.
-        motion, setting, arm, planner: as in `Rollout`.
-        start_timestamp_us, steps_requested, steps_run, cut_reason: as in `RolloutMetrics`; None
-            where the rollout failed.
+        motion, setting, arm, planner: the rollout's fields of the same names, see `Rollout`.
+        start_timestamp_us, steps_requested, steps_run, cut_reason: fields of the same names, see
+            `RolloutMetrics`; None where the rollout failed.
         plan_steps: steps at which plans were made; empty where the rollout failed.
-        first_collision_step: None where there was no collision.
-        map_derived: as in `RolloutMetrics`.
-        scores: by metric, keys of `COLUMNS`, plain values (shares between 0 and 1, seconds); None
-            where a metric is not valid. Empty where the rollout failed.
+        first_collision_step: step of the first collision; None where there was no collision.
+        map_derived: field of the same name, see `RolloutMetrics`.
+        scores: scores by metric, keys of `COLUMNS`, plain values (shares between 0 and 1, seconds);
+            None where a metric is not valid. Empty where the rollout failed.
         shorter: the same scores of the first steps alone, by how many steps: for each length at
             which the rollout of another arm in the scenario was cut.
         trust: how far to trust the verdict, see `RolloutTrust.to_json`; None for the truth, and
@@ -142,8 +142,8 @@ class ArmSummary:
 
     Attributes:
         row: means, see `TableRow`.
-        intervals: by metric, in the column's unit, over scenes drawn whole; none where no rollout
-            has a value.
+        intervals: intervals by metric, in the column's unit, over scenes drawn whole; none where no
+            rollout has a value.
     """
 
     row: TableRow
@@ -180,7 +180,8 @@ def arm_summaries(rows: Sequence[GridRow], samples: int, seed: int) -> list[ArmS
     """The table: a line for each arm, in the order in which they first occur.
 
     Args:
-        samples, seed: of the bootstrap; every interval sees the same draws.
+        samples: number of bootstrap samples.
+        seed: seed of the bootstrap; every interval sees the same draws.
     """
     # By its first row, whether that failed or not: the order is that of the grid.
     order = {key: i for i, key in enumerate(dict.fromkeys((r.planner, r.arm) for r in rows))}
@@ -207,7 +208,8 @@ def paired_summaries(
     Each pair is compared over the steps that both its rollouts have.
 
     Args:
-        samples, seed: of the bootstrap; every interval sees the same draws.
+        samples: number of bootstrap samples.
+        seed: seed of the bootstrap; every interval sees the same draws.
     """
     found = []
     for planner in dict.fromkeys(row.planner for row in rows):

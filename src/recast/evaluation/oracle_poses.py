@@ -35,9 +35,9 @@ class ViewSettings:
         moments: logged frames to stand at, spread over those with enough road ahead.
         distances: metres along the road from the camera to the vehicle's box centre; raised where
             the vehicle would touch the ego.
-        headings: how many, regular over the circle. The first is half a step off the road's
-            heading: no view is exactly along an axis of the vehicle.
-        camera: name, or None for the one that looks most nearly straight ahead.
+        headings: number of headings, regular over the circle. The first is half a step off the
+            road's heading: no view is exactly along an axis of the vehicle.
+        camera: name of the camera, or None for the one that looks most nearly straight ahead.
     """
 
     moments: int = 3

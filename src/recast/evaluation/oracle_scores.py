@@ -78,7 +78,7 @@ def agreement(
 
     Args:
         image, truth: (H, W, 3) uint8, the rectangle and what surrounds it.
-        rectangle: in pixels of these.
+        rectangle: rectangle in pixels of these images.
         mask, true_mask: bool of one shape, of any extent that holds both outlines.
 
     Raises:
@@ -129,11 +129,13 @@ class AngleBin:
 
     Attributes:
         low, high: degrees from the nearest logged view, [low, high).
-        views: how many.
+        views: number of views.
         baseline, candidate: means over them; None where there is none.
-        difference: by measure, candidate minus baseline of the same view: mean and interval,
-            headings drawn with replacement with all their views. Empty where there is no view.
-        candidate_better: by measure, in how many views the candidate actor is the better one.
+        difference: difference by measure, candidate minus baseline of the same view: mean and
+            interval, headings drawn with replacement with all their views. Empty where there is no
+            view.
+        candidate_better: number of views in which the candidate actor is the better one, by
+            measure.
     """
 
     low: float
@@ -189,7 +191,7 @@ class OracleView:
     """One view, drawn with both actors and by the oracle.
 
     Attributes:
-        index: from 0; names its picture.
+        index: number of the view, from 0; names its picture.
         camera, frame, timestamp_us: the logged frame whose camera pose is used.
         distance: metres along the road from the camera to the vehicle's box centre.
         heading: radians against the road's: 0 drives ahead of the ego, pi faces it.
@@ -227,7 +229,7 @@ class OracleViews:
 
     Attributes:
         logged: how many logged images show it.
-        views: in the order they were drawn.
+        views: views in the order they were drawn.
         summary: see `recast.evaluation.oracle_scores.EDGES`.
         showcase: index of the view that was kept as whole images: the one furthest from any logged
             view, at the nearest distance.

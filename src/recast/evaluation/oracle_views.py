@@ -80,10 +80,10 @@ class Painter:
     """Draws a view with both actors and by the oracle.
 
     Args:
-        scenes: by arm.
-        size: (3,) of the vehicle's box.
+        scenes: scenes by arm.
+        size: (3,) length, width, height of the vehicle's box, metres.
         mounts: cameras as they are rendered.
-        exposures: of the truth's images, by camera; 1 where one is missing.
+        exposures: exposures of the truth's images, by camera; 1 where one is missing.
 
     Raises:
         InputError: a scene has no model of the track.
@@ -187,9 +187,10 @@ def evaluate_oracle_views(
         out: folder to be made, whole or not at all: `oracle_views.json`, `view_000.png`, ... (the
             box and a margin, from left to right baseline, candidate, truth), and the whole images
             `showcase_baseline.png`, `showcase_candidate.png`, `showcase_truth.png` of one view.
-        rng: for the intervals.
-        settings: which views; the default draws 36.
-        exposures: of the log's images, by camera, which the truth's are given too; 1 if missing.
+        rng: random generator for the intervals.
+        settings: settings that say which views are drawn; the default draws 36.
+        exposures: exposures of the log's images, by camera; the truth's images are given them too.
+            1 if missing.
         shares: shares of the candidate actor that were seen, mirrored and invented, if they are
             known; each view then tells them for what it shows.
         progress: called with the number of views done, and of all.

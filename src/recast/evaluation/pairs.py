@@ -47,7 +47,7 @@ class PairedMetric:
     """Candidate minus baseline of one metric, over the pairs in which both have a value.
 
     Attributes:
-        differences: by scene, (n,) plain values; scenes without a pair are left out.
+        differences: (n,) differences by scene, plain values; scenes without a pair are left out.
         pairs: number of these pairs.
         plans: how many plans each side made in them.
         cut: how many of the pairs end where one of the two rollouts was cut.
@@ -107,7 +107,7 @@ def matched_pairs(
     up to the end of its shorter rollout.
 
     Args:
-        scored: by name of the scene, its rollouts; those of other arms are ignored.
+        scored: rollouts by name of the scene; those of other arms are ignored.
         candidate, baseline: arms.
         failed: rollouts that ended in an error: they have no pair, but were asked for.
     """
@@ -194,8 +194,8 @@ class Bootstrap:
     Attributes:
         point: the mean of the data.
         low, high: the interval that holds `level` of the distribution.
-        mean, std: of the distribution.
-        level: for example 0.95.
+        mean, std: mean and standard deviation of the distribution.
+        level: share of the distribution in the interval, for example 0.95.
     """
 
     point: float
@@ -215,10 +215,10 @@ def cluster_bootstrap(
     """Percentile bootstrap over whole scenes.
 
     Args:
-        scenes: for each scene, the differences (n_i,) of its pairs, e.g. candidate minus baseline.
+        scenes: differences (n_i,) of the pairs of each scene, e.g. candidate minus baseline.
             Scenes may have different numbers of pairs; sums are divided by counts after summing.
-        rng: drawn from as `integers(0, len(scenes), (samples, len(scenes)))`, in pieces, so that
-            hundreds of scenes do not take gigabytes.
+        rng: random generator, drawn from as `integers(0, len(scenes), (samples, len(scenes)))`, in
+            pieces, so that hundreds of scenes do not take gigabytes.
 
     Raises:
         ValueError: there is no scene, or one without a pair.

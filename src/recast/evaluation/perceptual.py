@@ -37,8 +37,9 @@ class ImageDistance(Protocol):
     """A measure of two images of one size.
 
     Attributes:
-        key: of the score, see `ACTOR_COLUMNS`.
-        framed: whether it looks at the square around the vehicle instead of the whole image.
+        key: key of the score, see `ACTOR_COLUMNS`.
+        framed: whether the measure looks at the square around the vehicle instead of the whole
+            image.
     """
 
     key: str
@@ -78,7 +79,7 @@ class Convolution:
 
     Attributes:
         index: N in `features.N.weight`.
-        channels: in and out.
+        channels: numbers of channels in and out.
         kernel, stride, padding: pixels.
         pool: kernel of the max pooling (stride 2) before it; 0 for none.
         tapped: whether its output is compared.

@@ -52,13 +52,13 @@ class RolloutMetrics:
 
     Attributes:
         name, arm, track_id, motion, setting, planner, start_timestamp_us, steps_requested,
-            cut_reason: of the rollout.
+            cut_reason: the rollout's fields of the same names, see `Rollout`.
         steps_run: executed steps S; C plans were made.
         plan_steps: (C,) steps at which they were made.
         map_derived: whether the map was made from the drive itself; None without a map.
         collision, drivable, ttc, ttc_constant_velocity, progress: values with their arrays; over
             all controlled actors.
-        collisions: with each controlled actor, by track id, the target first.
+        collisions: NC with each controlled actor, by track id, the target first.
         comfort, comfort_4_13, comfort_nuplan_savgol: three readings of COM; the first is the
             headline.
         driven: nuPlan's comfort of what was driven.
@@ -172,8 +172,8 @@ def rollout_metrics(rollout: Rollout, hd_map: HdMap | None) -> RolloutMetrics:
     The definitions are those of the paper as this project reads them: see `docs/metrics.md`.
 
     Args:
-        rollout: validated.
-        hd_map: of its log; without one DAC has no value.
+        rollout: validated rollout.
+        hd_map: map of the rollout's log; without one DAC has no value.
     """
     ego_boxes, dt = rollout.ego_boxes, rollout.dt
     steps = np.asarray(rollout.plan_steps, np.int64)
@@ -232,8 +232,8 @@ class RolloutActor(NamedTuple):
     """A controlled actor as the metrics see it.
 
     Attributes:
-        name: for reasons.
-        category: as in `Track.category`; a rollout does not keep the target's: "vehicle".
+        name: name of the actor in reasons.
+        category: category, see `Track.category`; a rollout does not keep the target's: "vehicle".
         states: (S+1, 4) x, y, heading of the box centre, speed.
         size: (3,) length, width, height, metres.
     """

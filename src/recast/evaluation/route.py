@@ -47,7 +47,7 @@ def drivable_area_compliance(
     Args:
         ego_boxes: (S+1, 3) x, y, heading of the ego's box centre.
         ego_size: (2,) length and width in metres.
-        region: from `drivable_region`; None makes the metric invalid.
+        region: region from `drivable_region`; None makes the metric invalid.
         dt: seconds between states.
     """
     if region is None:
@@ -91,7 +91,7 @@ def route_completion(
     Args:
         ego_poses: (S+1, >=2) rear axle.
         route: (R, 2) the logged ego path to the end of the log, rear axle.
-        collision_step: where to stop counting, or None to count all.
+        collision_step: step at which counting stops, or None to count all.
     """
     end = None if collision_step is None else collision_step + 1
     path = np.asarray(ego_poses, np.float64)[:end, :2]

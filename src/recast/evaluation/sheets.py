@@ -25,7 +25,7 @@ class ComparedView:
     """A reserved view.
 
     Attributes:
-        caption: where from, and the scores.
+        caption: text that says where the view is from, and the scores.
         truth, shown: photograph and render.
     """
 
@@ -41,8 +41,9 @@ def comparison_sheet(title: str, source: Cutout, views: Sequence[ComparedView]) 
     the images before black, as they are scored.
 
     Args:
-        title, source: of the input; the input.
-        views: what it is compared on, at least one.
+        title: title of the input.
+        source: the input.
+        views: views to compare on, at least one.
     """
     first = _fitted(source.before(_GREY)[_around(source.mask)], _GREY)
     rows = []
@@ -101,7 +102,7 @@ class SheetRow:
     """One vehicle.
 
     Attributes:
-        caption: under the input.
+        caption: text under the input.
         source: the input's tile.
         strips: the views of each model, in their order; None where it could not be made.
         truth: the photographs of the views.
@@ -147,9 +148,9 @@ def sheet(title: str, models: Sequence[str], rows: Sequence[SheetRow]) -> Image:
     """(H, W, 3) uint8.
 
     Args:
-        title: of the inputs' column.
+        title: title of the inputs' column.
         models: names of the columns between input and truth.
-        rows: at least one.
+        rows: rows of the sheet, at least one.
     """
     views = max(row.truth.shape[1] for row in rows)
     width = TILE[0] + (len(models) + 1) * (views + _GAP)

@@ -18,8 +18,8 @@ class Metric:
 
     Attributes:
         value: the number, or None where it cannot be told (no map, no plan, no route).
-        reason: in words, why the value is not the best possible or why there is none; None where
-            there is nothing to explain.
+        reason: reason in words why the value is not the best possible or why there is none; None
+            where there is nothing to explain.
     """
 
     value: float | None
@@ -57,8 +57,8 @@ class Column:
 
     Attributes:
         scale: shown value = scale * value.
-        headline: whether it stands in the short tables: the paper's five metrics, and what was
-            driven beside what was planned.
+        headline: whether the metric stands in the short tables: the paper's five metrics, and what
+            was driven beside what was planned.
         passes: whether a rollout passes or fails: tables show how many of how many.
     """
 
@@ -144,8 +144,9 @@ class TableRow:
         rollouts: how many were scored; `failed` more ended in an error, `cut` of the scored ones
             are shorter than asked.
         plans: how many plans the scored ones made.
-        means: by metric, in the column's unit, over the rollouts where it is valid; None if none.
-        counts: by metric, over how many rollouts.
+        means: means by metric, in the column's unit, over the rollouts where the metric is valid;
+            None if there is none.
+        counts: number of these rollouts, by metric.
     """
 
     planner: str

@@ -17,9 +17,9 @@ class Part(NamedTuple):
     """Two arms that differ in one part alone.
 
     Attributes:
-        name: of the part.
-        arm: in which the part is as it should be.
-        other: in which it is wrong, or missing.
+        name: name of the part.
+        arm: arm in which the part is as it should be.
+        other: arm in which the part is wrong, or missing.
     """
 
     name: str
@@ -56,9 +56,10 @@ def part_losses(
     """A line for each planner and part with a scenario to compare.
 
     Args:
-        rows: of the whole grid.
+        rows: rows of the whole grid.
         truth: the arm that renders the truth; its verdicts all agree.
-        samples, seed: of the bootstrap over scenes.
+        samples: number of samples of the bootstrap over scenes.
+        seed: seed of the bootstrap.
     """
     agrees: dict[str, dict[tuple[str, ...], bool]] = {}
     for row, verdict in zip(rows, verdicts(rows, truth), strict=True):

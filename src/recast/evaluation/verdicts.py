@@ -81,9 +81,9 @@ class VerdictCounts:
         plans: how many plans each side made in what was compared.
         cut: how many of the pairs end where one of the two rollouts was cut.
         agreeing: how many collide, or do not, as the oracle's.
-        false_collisions: collide where the oracle's do not.
-        missed_collisions: do not where the oracle's collide.
-        share: of agreeing ones, with its interval over scenes.
+        false_collisions: how many collide where the oracle's do not.
+        missed_collisions: how many do not collide where the oracle's do.
+        share: share of agreeing rollouts, with its interval over scenes.
         ttc_error: mean absolute TTC error in seconds, likewise; None without a pair.
     """
 
@@ -124,9 +124,10 @@ def agreements(rows: Sequence[GridRow], truth: str, samples: int, seed: int) -> 
     """A line for each planner and arm with a rollout to compare, in the order of the rows.
 
     Args:
-        rows: of the whole grid, those of the truth among them.
+        rows: rows of the whole grid, those of the truth among them.
         truth: the arm that renders the truth.
-        samples, seed: of the bootstrap over scenes.
+        samples: number of samples of the bootstrap over scenes.
+        seed: seed of the bootstrap.
     """
     found = zip(rows, verdicts(rows, truth), strict=True)
     compared = [(row, verdict) for row, verdict in found if verdict is not None]
@@ -147,10 +148,11 @@ def noise_floors(
     No reconstruction can be expected to agree more often.
 
     Args:
-        rows: of the whole grid.
+        rows: rows of the whole grid.
         truth: the arm that renders the truth.
         noisy: arms that disturb it; they count as one arm, `NOISE_FLOOR`.
-        samples, seed: of the bootstrap over scenes.
+        samples: number of samples of the bootstrap over scenes.
+        seed: seed of the bootstrap.
     """
     pooled = [replace(row, arm=NOISE_FLOOR) for row in rows if row.arm in noisy]
     true = [row for row in rows if row.arm == truth]

@@ -52,9 +52,9 @@ class RationalLens:
     Attributes:
         width, height: image size in pixels.
         fx, fy, cx, cy: focal lengths and principal point in pixels, pixel centres at +0.5.
-        radial: k1 .. k6.
-        tangential: p1, p2.
-        thin_prism: s1 .. s4.
+        radial: coefficients k1 .. k6.
+        tangential: coefficients p1, p2.
+        thin_prism: coefficients s1 .. s4.
     """
 
     width: int
@@ -288,7 +288,7 @@ def fisheye_lens(
     """OpenCV's fisheye model: distance = angle (1 + k1 angle^2 + k2 angle^4 + ...).
 
     Args:
-        radial: k1 to at most k4.
+        radial: coefficients k1 to at most k4.
     """
     _check_numbers("fisheye_lens.radial", radial, None)
     if len(radial) > 4:

@@ -56,7 +56,7 @@ def ground_grid(points: Array, path: Array, quantile: float = LOW) -> GroundGrid
     Args:
         points: (N, 3) world, as `ground_points` gathers them.
         path: (P, 3) ego positions on the ground, at most a metre or so apart.
-        quantile: of the heights in a cell that counts as its level.
+        quantile: quantile of the heights in a cell that counts as its level.
     """
     origin = np.floor((path[:, :2].min(axis=0) - REACH) / CELL) * CELL
     shape = np.ceil((path[:, :2].max(axis=0) + REACH - origin) / CELL).astype(int)[::-1] + 1

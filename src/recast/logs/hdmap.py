@@ -20,13 +20,13 @@ class Lane:
     """One lane segment.
 
     Attributes:
-        lane_id: unique in the map.
+        lane_id: id of the lane, unique in the map.
         centreline, left_boundary, right_boundary: (N, 3) metres, in driving direction.
         polygon: (M, 2) counter-clockwise outline.
         speed_limit: m/s, or None where unknown.
         successors: lanes one can drive on into.
         left_neighbour, right_neighbour: adjacent lane of the same direction, or None.
-        is_intersection: inside a junction.
+        is_intersection: whether the lane is inside a junction.
     """
 
     lane_id: str
@@ -85,7 +85,7 @@ class HdMap:
     """Lanes and drivable area.
 
     Attributes:
-        lanes: by id.
+        lanes: lanes by id.
         drivable_area: outlines (N, 2); where they overlap, each still counts (a union).
         ground: ground height, or None.
         derived: True where made from the drive itself, not surveyed.

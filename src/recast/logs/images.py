@@ -53,7 +53,7 @@ def encode(image: Image, kind: str = "png", quality: int = 95) -> bytes:
 
     Args:
         kind: "png" or "jpeg".
-        quality: of a JPEG, 1 to 100.
+        quality: JPEG quality, 1 to 100.
     """
     import cv2  # 0.1 s that reading a log does without
 

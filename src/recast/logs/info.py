@@ -53,7 +53,7 @@ class TrackInfo:
     """One row of `recast log info`; lengths in metres, times in seconds.
 
     Attributes:
-        seconds: from the first to the last label.
+        seconds: time from the first to the last label.
         displacement: diagonal of the axis-aligned box around all its places.
         lidar_points: LiDAR points in the box over all sweeps.
         usable: whether it is a vehicle that a camera and the LiDAR saw well enough to replace it.

@@ -65,7 +65,7 @@ class NcoreFolder:
     """An NCore V4 store in a folder; cheap to copy into another process.
 
     Attributes:
-        folder: holds ncore.json and the stores it lists.
+        folder: folder that holds ncore.json and the stores it lists.
     """
 
     folder: Path

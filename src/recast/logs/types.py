@@ -158,7 +158,7 @@ class Track:
     """One labelled object.
 
     Attributes:
-        track_id: unique in the log.
+        track_id: id of the track, unique in the log.
         category: lower case, one of "car", "van", "truck", "bus", "pedestrian", "cyclist", "tram",
             "misc".
         size: (3,) length, width, height in metres.
@@ -185,8 +185,10 @@ class DrivingLog:
     """A recorded drive.
 
     Attributes:
-        name: for people.
-        cameras, lidars, tracks: by name or id.
+        name: name for people to read.
+        cameras: camera streams by name.
+        lidars: LiDAR streams by name.
+        tracks: tracks by id.
         world_from_rig: ego trajectory; covers every camera, LiDAR and track timestamp.
         map: lanes and drivable area, or None.
         world_offset: (3,) float64, dataset coordinates = world coordinates + offset.

@@ -98,9 +98,10 @@ def make_actor(
     `choose`.
 
     Args:
-        config: of the street's scene: cameras, image scale, and the frames that are held out.
-        views: of the track that a generator is given, at most.
-        progress: told stage, pieces done, and all of the stage.
+        config: settings of the street's scene: cameras, image scale, and the frames that are held
+            out.
+        views: largest number of views of the track that a generator is given.
+        progress: function that is told the stage, the pieces done, and all pieces of the stage.
     """
     observation = observe(
         log,
@@ -203,7 +204,7 @@ def show_actor(folder: Path, out: Path | None = None) -> Path:
     """Draw the sheet of an actor, see `draw_actor_sheet`, and return its file.
 
     Args:
-        out: PNG to write; beside the folder and of its name if None.
+        out: PNG file to write; beside the folder and of its name if None.
 
     Raises:
         InputError: no actor lies there, `out` is no PNG or exists already, or the disk refuses.
@@ -233,9 +234,9 @@ def compare_with_truth(
     """Write views and scores into a folder, see `evaluate_oracle_views`, and print the table.
 
     Args:
-        scene: with its own model of the track, in whose place `actor` is inserted.
+        scene: scene with its own model of the track, in whose place `actor` is inserted.
         source: a synthetic log.
-        config: of the street: cameras and image scale.
+        config: settings of the street: cameras and image scale.
 
     Raises:
         InputError: see `evaluate_oracle_views`; or the log is not synthetic.

@@ -220,7 +220,7 @@ def require_undisturbed(arms: Sequence[Arm]) -> None:
     """Refuse noise without the arm that it disturbs.
 
     Raises:
-        InputError: that is not among the arms.
+        InputError: the arm that a noise disturbs is not among the arms.
     """
     plain = [arm for arm in arms if arm.noise is None]
     compared = {noisy.name for arm in plain for noisy in disturbed_arms(arm, arms)}

@@ -52,7 +52,7 @@ class Artefacts:
 
     Attributes:
         used: artefacts by use, such as "scene/recast" or "rollout/cut-in-a/idm-follower/native".
-        on_use: called after each that joins them.
+        on_use: function that is called after each artefact that joins them.
     """
 
     def __init__(
@@ -234,7 +234,7 @@ class Artefacts:
         """One rollout.
 
         Args:
-            timings: is added to, if the rollout is made now.
+            timings: timings that those of the rollout are added to, if it is made now.
         """
         config, looks = self.config, self.looks(planner)
         tracks = self.replaced_tracks(motion)

@@ -38,7 +38,7 @@ def parts_of(arms: Sequence[Arm]) -> tuple[Part, ...]:
     """Every pair of arms that differ in one part alone, part by part.
 
     Args:
-        arms: with the run's settings filled in, see `RunConfig.arm`.
+        arms: arms with the run's settings filled in, see `RunConfig.arm`.
     """
     arms = [arm for arm in arms if arm.noise is None]
     without = {

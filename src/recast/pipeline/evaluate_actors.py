@@ -62,7 +62,8 @@ class VehicleResult:
     """One vehicle.
 
     Attributes:
-        input: name of the picture that it was made from, and `input_azimuth_deg` whence.
+        input: name of the picture that it was made from.
+        input_azimuth_deg: azimuth from which that picture was taken, degrees.
         further: names of other pictures that it was made from.
     """
 
@@ -81,8 +82,8 @@ class ActorEvaluation:
     """What a run over a set found.
 
     Attributes:
-        mean: of every score over the vehicles, each counting the same.
-        failures: by id, why one could not be made.
+        mean: mean of every score over the vehicles, each counting the same.
+        failures: reason why a vehicle could not be made, by its id.
     """
 
     generator: str
@@ -115,8 +116,8 @@ def evaluate_actors(
 
     Args:
         folder: real crops or a vehicle set, see `read_cases`.
-        seed: of the generator, and of the choice of input views.
-        views: input views that a vehicle is made from, at most.
+        seed: seed of the generator, and of the choice of input views.
+        views: largest number of input views that a vehicle is made from.
 
     Raises:
         InputError: the set is at fault, no vehicle could be made, or `out` exists.
@@ -214,7 +215,7 @@ class TrackResult:
     """One track.
 
     Attributes:
-        images: held-out ones that show it.
+        images: number of held-out images that show it.
         psnr, ssim: means by model.
     """
 
@@ -241,8 +242,9 @@ def evaluate_tracks(
     an image: recording, reconstructed, registered, refined) to `out`, whole or not at all.
 
     Args:
-        scene, config: reconstructed from the log, with models of the tracks; of its training.
-        progress: told stage, pieces done, and all of the stage.
+        scene: scene that was reconstructed from the log, with models of the tracks.
+        config: settings of the scene's training.
+        progress: function that is told the stage, the pieces done, and all pieces of the stage.
 
     Raises:
         InputError: no track named, one that the scene has no model of or no held-out image shows;

@@ -73,7 +73,7 @@ def reconstruct(
         preset: "streetgs" or "omnire" for the method of that paper; None for recast's own.
         config: settings of the training; None for the defaults.
         store: folder or address of the artefacts; None for `store/` beside the log's folder.
-        console: shows progress; None for silence.
+        console: console that shows progress; None for silence.
         settings: single members of `SceneConfig`, such as `iterations=300`; they go over `config`.
 
     Raises:
@@ -122,14 +122,15 @@ def make_actor(
     Args:
         log: see `recast.load_log`.
         track: id of the vehicle's track; `recast log info` lists them.
-        scene: refine the vehicle against it, by all images of the log; None for no refinement.
+        scene: scene that the vehicle is refined against, by all images of the log; None for no
+            refinement.
         generator: a generator's name, a model's folder, a vehicle's file, or library:FOLDER.
         segmenter: a segmenter's name, or the folder of its networks.
         axes: orientation of a file or a model, see `recast.actors.axes_of`.
-        views: most views of the vehicle that the generator is given.
-        seed: of the generator and the refinement.
+        views: largest number of views of the vehicle that the generator is given.
+        seed: seed of the generator and the refinement.
         store: folder or address of the artefacts; None for `store/` beside the log's folder.
-        console: shows progress; None for silence.
+        console: console that shows progress; None for silence.
 
     Raises:
         InputError: no such track, generator or segmenter; the vehicle was not seen well enough; the
@@ -244,16 +245,16 @@ def run_grid(
     Args:
         scenes: synthetic scenes such as "urban-straight:3", or log folders, LOG:TRACK.
         out: folder of the grid; one of the same settings is finished.
-        arms: see docs/runs.md#arms; none for native and replaced.
+        arms: words for the arms, see docs/runs.md#arms; none for native and replaced.
         planners: names, folders, or "module:attribute"; none for "idm-follower".
         motions: names or scenario files; none for the paper's.
-        track: of log folders that are named without one.
-        workers: processes of this machine, or actors of the cluster.
+        track: target track of log folders that are named without one.
+        workers: number of processes of this machine, or of actors of the cluster.
         ray: address of a Ray cluster.
         quick: small sizes, to try things.
         store: folder or address of the artefacts; None for `store/` beside `out`.
-        console: shows progress and tables; None for silence.
-        samples: of the bootstrap.
+        console: console that shows progress and tables; None for silence.
+        samples: number of bootstrap samples.
         settings: members of `RunConfig`, of `SceneConfig`, or of the synthetic drives (seconds,
             width, height).
 

@@ -50,8 +50,8 @@ class ForeignScores:
     """What one rollout scored.
 
     Attributes:
-        name, planner, arm, motion, setting: as in `Rollout`.
-        values: by key of `SCORES`.
+        name, planner, arm, motion, setting: the same as in `Rollout`.
+        values: metrics by key of `SCORES`.
         details: each score with what it was made from, as plain data.
     """
 
@@ -117,9 +117,9 @@ class ScoreRow:
     """Means over the rollouts of a planner under an arm.
 
     Attributes:
-        rollouts: how many were scored.
-        means, counts: by key of `SCORES`, in the column's unit, None without any; and over how
-            many rollouts.
+        rollouts: number of rollouts that were scored.
+        means: means by key of `SCORES`, in the column's unit; None without any rollout.
+        counts: number of rollouts that a mean is taken over, by key of `SCORES`.
     """
 
     planner: str

@@ -50,7 +50,7 @@ class CellTask:
     """What is to be made of one vehicle.
 
     Attributes:
-        key, folder: of the cell, see `Cell`.
+        key, folder: key and folder of the cell, see `Cell`.
         model: what makes it; None for the photographs.
         perturbed: what the input is put through; None for a clean one. Of the photographs' task:
             with what the perturbed input is shown.
@@ -67,7 +67,8 @@ class CellMaker:
     """Makes cells, one after the other; the model last used stays loaded.
 
     Args:
-        measures, seed: what views are scored by; seed of the models and of the perturbations.
+        measures: weights of the networks that views are scored by.
+        seed: seed of the models and of the perturbations.
         placement: see `recast.evaluation.generation_cell`.
 
     Raises:
@@ -245,8 +246,8 @@ def make_cells(
     Args:
         tasks: those of one model in a row, since every process keeps just one loaded.
         measures, seed, placement: see `CellMaker`.
-        workers: processes; with one, all is done in this process.
-        on_done: of each task, in the order in which they end.
+        workers: number of processes; with one, all is done in this process.
+        on_done: function that is called after each task, in the order in which they end.
 
     Raises:
         InputError: see `CellMaker`, or a process was killed. Finished cells stay.

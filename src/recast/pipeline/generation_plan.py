@@ -65,10 +65,10 @@ class StudySettings:
     Attributes:
         models: what makes vehicles, by the name it has in the tables, in their order.
         folder: vehicle set or real crops, see `read_cases`.
-        seed: of the input views, the models, the perturbations and the bootstrap.
-        limit: only the first vehicles.
+        seed: seed of the input views, the models, the perturbations and the bootstrap.
+        limit: number of vehicles to take, the first ones; None for all.
         perturbed: also judge on inputs perturbed like this, none of them left clean.
-        shown: vehicles on sheets, the first ones.
+        shown: number of vehicles on sheets, the first ones.
         beside: rows of the paper to set beside those of these names, which need not be run.
     """
 
@@ -176,7 +176,7 @@ def write_inputs(settings: StudySettings, out: Path) -> list[ActorCase]:
     """Write inputs, target views and a file of rows, all or nothing; return the vehicles.
 
     Args:
-        settings: of the study; its models do not matter.
+        settings: settings of the study; its models do not matter.
 
     Raises:
         InputError: the set is at fault, `out` exists, or the disk is full.

@@ -159,7 +159,8 @@ class RowRecord(Record):
     """A row in a study file.
 
     Attributes:
-        source: of its vehicles, paths from the study file's folder; None if it is not run.
+        source: source of the row's vehicles, paths from the study file's folder; None if the row is
+            not run.
         axes: orientation of files and models, see `recast.actors.axes_of`.
         published: row of the paper whose figures stand beside it.
     """
@@ -174,8 +175,8 @@ class StudyRecord(Record):
     """Contents of a study file: what inputs depend on, and the rows.
 
     Attributes:
-        seed: of everything random, the choice of the input views too.
-        perturbations: of the perturbed inputs; None where all are clean.
+        seed: seed of everything random, the choice of the input views too.
+        perturbations: perturbations of the perturbed inputs; None where all inputs are clean.
     """
 
     format: Literal["recast-generation-rows"] = "recast-generation-rows"

@@ -52,8 +52,9 @@ def run_study(
     table for every condition.
 
     Args:
-        out: new, empty, or of an earlier study.
-        progress: given the number of vehicles done, and of all, those of all models and inputs.
+        out: folder that is new, empty, or of an earlier study.
+        progress: function that is given the number of vehicles done, and of all, those of all
+            models and inputs.
 
     Raises:
         InputError: the set, a model, weights or `out` are at fault; no vehicle was made by every

@@ -20,8 +20,8 @@ def use_name(what: str, *names: str) -> str:
     """What a run calls an artefact, such as "scene/recast".
 
     Args:
-        names: from outside, of tracks, planners, arms and streets; a "/" in one is escaped, so that
-            other names never give the same use.
+        names: names from outside, of tracks, planners, arms and streets; a "/" in one is escaped,
+            so that other names never give the same use.
     """
     return "/".join([what, *(name.replace("%", "%25").replace("/", "%2F") for name in names)])
 

@@ -84,7 +84,7 @@ def drive_world(
 
     Args:
         image_size: width and height of its images, pixels.
-        cameras: that are recorded; none named: all of the rig.
+        cameras: names of the cameras that are recorded; none named: all of the rig.
         every: see `synthesize_log`.
     """
     inputs = {
@@ -162,7 +162,7 @@ class VehicleParts:
 
     Attributes:
         generator, segmenter: what stands for them, see `recast.pipeline.sources`.
-        makers: gives generator and segmenter themselves.
+        makers: function that gives the generator and the segmenter themselves.
     """
 
     name: str
@@ -184,7 +184,7 @@ def register_vehicle(
     """A generated vehicle, registered to the log's boxes and LiDAR, with its evidence.
 
     Args:
-        config: of the street: which images may be looked at.
+        config: settings of the street's scene: which images may be looked at.
     """
     inputs = {
         **_images(source, config),

@@ -63,10 +63,10 @@ class ProbeRow:
     """One scenario in one scene, driven twice.
 
     Attributes:
-        collided: seconds of the first contact by arm, None without any.
-        nearest: least metres between the boxes' centres, by arm.
-        driven: metres, by arm.
-        problem: why there is no rollout; the rest is empty then.
+        collided: time of the first contact by arm, seconds; None without any.
+        nearest: least distance between the boxes' centres, by arm, metres.
+        driven: distance driven, by arm, metres.
+        problem: reason why there is no rollout; the rest is empty then.
     """
 
     scene: str

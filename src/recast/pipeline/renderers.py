@@ -28,10 +28,10 @@ class Renderers:
     """Renderers, made when first asked for and kept; close it, as some hold processes.
 
     Args:
-        actor_of: gives the vehicle that an arm puts in the place of a track.
-        world_of: gives the world of a synthetic log.
+        actor_of: function that gives the vehicle that an arm puts in the place of a track.
+        world_of: function that gives the world of a synthetic log.
         oracle_workers: processes of an oracle, see `OracleRenderer`.
-        restorer: of the images of arms that are `restorable`; None for none.
+        restorer: restorer of the images of arms that are `restorable`; None for no restorer.
     """
 
     def __init__(
@@ -66,8 +66,8 @@ class Renderers:
         """The renderer of an arm.
 
         Args:
-            planner: whose cameras are among `mounts`.
-            tracks: whose vehicles the arm exchanges or leaves out, the target first.
+            planner: name of the planner whose cameras are among `mounts`.
+            tracks: tracks whose vehicles the arm exchanges or leaves out, the target first.
 
         Raises:
             InputError: the street has no such actor, or the log is not synthetic.

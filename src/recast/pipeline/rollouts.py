@@ -103,8 +103,10 @@ def make_rollout(
             `restored_by`, the name of the restorer, if there is one), the films and `films.json`,
             and with a meter `coverage.parquet`; or `failure.json`.
         filmed: render every step, not only those that the planner sees.
-        on_step, timings: called after each filmed step; is added to.
-        meter: of the actor that the renderer draws; None for one without shares.
+        on_step: function that is called after each filmed step.
+        timings: timings that those of the rollout are added to.
+        meter: meter of the coverage of the actor that the renderer draws; None for an actor without
+            shares.
 
     Raises:
         InputError: the disk refuses.

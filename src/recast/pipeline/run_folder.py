@@ -59,7 +59,8 @@ class RunRecord(Record):
     Attributes:
         store: address of the store, or its folder, relative to the run if it can be.
         artefacts: reference by use, such as "scene/recast".
-        finished: by file that the run wrote itself, the hash of what it was made from.
+        finished: hash of what a file was made from, by name of the file; for files that the run
+            wrote itself.
     """
 
     format: Literal["recast-run"] = RUN_FORMAT
@@ -86,8 +87,10 @@ class RunFolder:
         """Start a run, or resume the one that lies there.
 
         Args:
-            path, config: the run folder, made where it is missing; resolved settings, JSON-able.
-            log, store, log_hash: folder or address of each; content hash of the log.
+            path: run folder, made where it is missing.
+            config: resolved settings, JSON-able.
+            log, store: folder or address of each.
+            log_hash: content hash of the log.
 
         Raises:
             InputError: the folder holds something else: another log, another configuration,

@@ -21,8 +21,8 @@ class ScoredRollout:
     """A stored rollout of an arm, scored, with what else its trust depends on.
 
     Attributes:
-        folder: that `make_rollout` wrote.
-        coverage: of its vehicle; None for one without shares.
+        folder: folder that `make_rollout` wrote.
+        coverage: coverage of its vehicle; None for a vehicle without shares.
         evaluation: held-out scores of its street; None if no image was held out.
         disturbed: the same scenario, planner and arm under other noise.
     """
@@ -45,8 +45,8 @@ def scored_rollouts(
     """The rollouts of a scenario that were made, by arm.
 
     Args:
-        motion, planner: as the run's config names them.
-        find: gives the artefact of a use; None if the run has none.
+        motion, planner: names of the motion and the planner in the run's config.
+        find: function that gives the artefact of a use; None if the run has none.
         hd_map: lanes and drivable area that they are judged by.
 
     Raises:

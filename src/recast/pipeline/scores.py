@@ -45,7 +45,7 @@ def write_metrics(
     Args:
         used: the artefacts of the run by use, as far as they were made.
         hd_map: lanes and drivable area that the rollouts are judged by.
-        trust: of the rollouts' log.
+        trust: `RunTrust` of the rollouts' log.
     """
     rollouts: list[ScoredRollout] = []
     failures: list[RolloutFailure] = []

@@ -54,8 +54,8 @@ class SourceLog:
     """A log folder, opened.
 
     Attributes:
-        address: where it lies, if that is another place than the folder, which holds a copy.
-        hash: of all its bytes.
+        address: address of the log, if that is another place than the folder, which holds a copy.
+        hash: hash of all bytes of the folder.
     """
 
     path: Path
@@ -112,7 +112,7 @@ def drive_log(
     """The log of `world` at `path`, its images of width and height pixels.
 
     Args:
-        cameras: that are recorded; none named: all of the rig.
+        cameras: names of the cameras that are recorded; none named: all of the rig.
         every: see `synthesize_log`.
 
     Raises:
@@ -172,7 +172,7 @@ class Sources:
 
         Args:
             scene: name of the scene, for generators that have a file for each.
-            known: of another scene of the same process; the parts among them may be loaded.
+            known: sources of another scene of the same process; the parts among them may be loaded.
 
         Raises:
             InputError: a name is unknown.

@@ -31,9 +31,9 @@ class RunTrust:
     """Judges the rollouts of one log and target.
 
     Args:
-        log: that they were run on.
-        track: the target.
-        calibration: that of the package if None.
+        log: log that the rollouts were run on.
+        track: id of the target's track.
+        calibration: calibration to judge by; that of the package if None.
     """
 
     def __init__(self, log: DrivingLog, track: str, calibration: Calibration | None = None) -> None:

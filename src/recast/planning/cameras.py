@@ -62,7 +62,7 @@ def camera_choice(
     method and the attribute.
 
     Args:
-        otherwise: for planners that do not say; None for all.
+        otherwise: names of cameras for planners that do not say; None for all.
 
     Raises:
         InputError: a camera is not there; or what `choose_cameras` raises.
@@ -175,7 +175,7 @@ class ShownView:
             a place of its own.
         virtual: whether it is no camera of the log.
         seen: share of it that cameras of the log see; the rest is black.
-        width, height: of the images, pixels.
+        width, height: size of the images, pixels.
     """
 
     view: str

@@ -50,8 +50,8 @@ class Lens:
     Render the faces, then call `bend`. The map is computed once.
 
     Args:
-        camera: of the images to be made: any lens, also a `PinholeCamera` with distortion.
-        most_pixels: of all faces together.
+        camera: camera of the images to be made: any lens, also a `PinholeCamera` with distortion.
+        most_pixels: largest number of pixels of all faces together.
 
     Attributes:
         faces: one up to a field of view of about 120 degrees; else up to six, the sides of a cube.

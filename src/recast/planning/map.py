@@ -20,9 +20,9 @@ class PlannerLane:
     Attributes:
         centreline: (N, 3) x, y, heading in driving direction, at most 0.5 m apart, N >= 2.
         polygon: outline in the plane; a shapely polygon or multi-polygon.
-        speed_limit: m/s, or None where unknown.
+        speed_limit: speed limit in m/s, or None where unknown.
         successors: lanes one can drive on into.
-        connector: inside an intersection.
+        connector: whether it lies inside an intersection.
     """
 
     lane_id: str
@@ -45,7 +45,7 @@ class Block:
     """Lanes side by side in one direction: nuPlan's roadblock.
 
     Attributes:
-        connector: inside an intersection.
+        connector: whether it lies inside an intersection.
         successors, predecessors: blocks that its lanes lead into and come from.
     """
 
@@ -61,7 +61,7 @@ class PlannerMap:
     """What a planner may ask of a map; world frame, metres.
 
     Attributes:
-        lanes: by id, connectors included.
+        lanes: lanes by id, connectors included.
         drivable: further polygons that may be driven on, beside the lanes.
         intersections: polygons, by which a planner knows that it is in one.
         car_parks: polygons, which may be driven on too.

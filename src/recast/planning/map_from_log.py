@@ -155,8 +155,8 @@ def continued_route(
     the road would brake for it.
 
     Args:
-        blocks: ids in order, at least one.
-        metres: beyond the last block; fewer where the map ends or the route would return.
+        blocks: block ids in order, at least one.
+        metres: distance beyond the last block; less where the map ends or the route would return.
     """
     route = list(blocks)
     while metres > 0:

@@ -31,8 +31,8 @@ def make_planner(planner: str | Path | Planner, device: str = "auto") -> Planner
             "alpasim:HOST:PORT" of a driver of AlpaSim; or "neuroncap:HOST:PORT" of a program that
             plans; or a folder that `save_gtrs` wrote; or a
             `Planner`. See `recast.core.plugins.Registry.resolve`.
-        device: where it computes, see `planner_device`. A class or function of the user's is given
-            it if it has a parameter `device`; what has none decides itself.
+        device: device on which it computes, see `planner_device`. A class or function of the user's
+            is given it if it has a parameter `device`; what has none decides itself.
 
     Raises:
         InputError: there is no such device; the name is unknown, the module does not import, what
@@ -115,7 +115,7 @@ def gtrs_mini_planner(device: str = "cpu") -> Planner:
     """The planner.
 
     Args:
-        device: where it computes, as torch calls it.
+        device: device on which it computes, as torch calls it.
 
     Raises:
         InputError: this installation lacks the folder, or it is damaged.

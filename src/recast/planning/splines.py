@@ -19,7 +19,7 @@ def spline_through(knots: ArrayLike, poses: ArrayLike, times: ArrayLike) -> Arra
     derived from the path, so that they survive standing still.
 
     Args:
-        knots: (N,) seconds, strictly increasing, N at least 2.
+        knots: (N,) times of the poses in seconds, strictly increasing, N at least 2.
         poses: (N, 3) x, y, heading.
         times: (M,) seconds.
     """

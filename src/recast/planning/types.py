@@ -33,7 +33,7 @@ class CameraMount:
     """A camera as the planner sees it: intrinsics of the images it gets, and where it sits.
 
     Attributes:
-        camera: at the size of the rendered images; rectified, unless virtual.
+        camera: camera at the size of the rendered images; rectified, unless virtual.
         rig_from_camera: (4, 4) OpenCV camera frame to rig.
         seen: mask (height, width) of a virtual camera's pixels that look where a camera of the log
             does; the others are black. None for a camera of the log.
@@ -71,12 +71,13 @@ class PlanningContext:
     """What stays the same during a rollout; given to `Planner.reset`.
 
     Attributes:
-        route: where to go: the logged ego path, for the rear axle.
+        route: route to follow: the logged ego path, for the rear axle.
         log: the recorded ego drive. Only planners that replay it, or that need a usual speed,
             should look at it.
         map: lanes and drivable area, or None.
         vehicle: the ego's outline.
-        cameras: by name, what `PlannerInput.images` will hold; empty without images.
+        cameras: cameras by name, whose images `PlannerInput.images` will hold; empty without
+            images.
         dt: seconds between waypoints.
         plan_every: steps of `dt` between two calls of `plan`.
     """
@@ -97,7 +98,7 @@ class ActorState:
     Attributes:
         pose: (3,) x, y, heading of the box centre, world.
         velocity: (2,) m/s, world; need not point along the heading.
-        category: as in `Track.category`.
+        category: category as in `Track.category`.
         size: (3,) length, width, height in metres.
     """
 
@@ -141,7 +142,7 @@ class Candidates:
     """The best of the trajectories that a planner chose from, best first.
 
     Attributes:
-        waypoints: (K, 40, 3), each as in `Plan.waypoints`.
+        waypoints: (K, 40, 3) waypoints, each as in `Plan.waypoints`.
         scores: (K,) falling; what they mean is the planner's business.
     """
 

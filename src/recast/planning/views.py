@@ -99,8 +99,8 @@ def match_cameras(wanted: Mapping[str, Look], mounts: Mapping[str, CameraMount])
     pairs whose fields of view agree best are made first; equal ones in the order of the arguments.
 
     Args:
-        wanted: by the planner's names.
-        mounts: by the rig's names, which do not matter.
+        wanted: looks by the planner's names.
+        mounts: mounts by the rig's names, which do not matter.
 
     Returns:
         wanted name to the rig's, in the order of `wanted`; without those with no camera left.
@@ -256,7 +256,7 @@ def nuplan_rig(scale: float = 1.0) -> dict[str, CameraMount]:
     `recast.simulation.scene_renderer.through_lenses`.
 
     Args:
-        scale: of width and height, rounded to whole pixels.
+        scale: factor on width and height, which are rounded to whole pixels.
 
     Source: nuPlan's published calibration, rounded: position in metres, yaw to the left, pitch
     upwards (the optical axis of the front camera points 1.5 degrees below the horizon), no roll.

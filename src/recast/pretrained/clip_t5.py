@@ -90,11 +90,12 @@ class ClipT5:
     depend on the pictures beside it.
 
     Args:
-        name: for results.
+        name: name of the network, for results.
         language, vision: T5ForConditionalGeneration and CLIPVisionModel.
         projector: weight and bias of two linear layers, from patches to the width of T5.
-        tokenizer, processor: of transformers; the first ends every text with T5's end token.
-        layer: of the vision model's hidden states, whose patches are read.
+        tokenizer: tokenizer of transformers, which ends every text with T5's end token.
+        processor: image processor of transformers.
+        layer: layer of the vision model's hidden states whose patches are read.
     """
 
     def __init__(

@@ -34,10 +34,10 @@ class PretrainedFolder:
 
     Attributes:
         path: the folder.
-        model_type: that its config.json must name.
+        model_type: model type that its config.json must name.
         model_class, processor_class: names in transformers.
-        repositories: where the user finds the weights, for messages.
-        text: whether it reads text, so that it needs the files of a tokenizer.
+        repositories: repositories where the user finds the weights, for messages.
+        text: whether the network reads text, so that it needs the files of a tokenizer.
     """
 
     path: Path
@@ -176,7 +176,7 @@ def weight_files(folder: Path, mend: str) -> tuple[Path, ...]:
     """The files that hold the weights of a folder: safetensors if there are any, else PyTorch's.
 
     Args:
-        mend: where the user finds them, for messages.
+        mend: advice on where the user finds the weights, for messages.
 
     Raises:
         InputError: there are none, or their index is no table of files in the folder.
@@ -224,7 +224,7 @@ def network_of(
     Args:
         network: class of transformers.
         config: configuration of that class.
-        refusal: makes the error of a problem with the weights.
+        refusal: function that makes the error of a problem with the weights.
         spare: whether there may be more tensors than the network has.
 
     Raises:

@@ -26,7 +26,7 @@ class ClipImages:
     """CLIP's embedding of images.
 
     Attributes:
-        processor: of transformers, from pictures to what the network takes.
+        processor: image processor of transformers, from pictures to what the network takes.
         model: both towers, or the vision tower with its projection.
     """
 
@@ -75,7 +75,7 @@ class Clip:
 
     Attributes:
         vision: the network's image side.
-        tokenizer: of transformers.
+        tokenizer: tokenizer of transformers.
         device: torch device of the network.
     """
 
@@ -166,7 +166,7 @@ class VqaScorer(Protocol):
     Scores of different networks do not compare, so that results name theirs.
 
     Attributes:
-        name: of the network, for results.
+        name: name of the network, for results.
     """
 
     name: str

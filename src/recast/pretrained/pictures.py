@@ -152,7 +152,7 @@ def in_batches(
     fixed order with one `size`, and every process has the same number of threads.
 
     Args:
-        compute: from at most `size` items to (n, width), on any device.
+        compute: function from at most `size` items to (n, width), on any device.
     """
     rows = np.empty((len(items), width))
     for start in range(0, len(items), size):

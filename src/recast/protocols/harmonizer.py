@@ -30,7 +30,7 @@ class HarmonizerRestorer:
     Nothing is open between two steps.
 
     Args:
-        service: where it listens.
+        service: address at which the Harmonizer listens.
     """
 
     def __init__(self, service: JsonService) -> None:

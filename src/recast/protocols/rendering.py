@@ -35,8 +35,8 @@ class ServedScene:
     """A scene under the name that others call it by.
 
     Attributes:
-        scene: in the log's world frame.
-        cameras: of the rig, by name, as `get_available_cameras` lists them.
+        scene: scene in the log's world frame.
+        cameras: cameras of the rig by name, as `get_available_cameras` lists them.
         world_from_local: (4, 4) rigid; the frame of all poses on the wire is local.
         start_us: log time of the first ego pose.
     """
@@ -53,8 +53,8 @@ class ScenePainter:
     Safe to use from many threads: one draws at a time.
 
     Args:
-        scenes: by id.
-        device: where to draw, see `SceneRasterizer`.
+        scenes: scenes by id.
+        device: device to draw on, see `SceneRasterizer`.
         unnamed: see `Unnamed`.
     """
 

@@ -32,11 +32,11 @@ class RenderRequest:
     """One image that is asked for.
 
     Attributes:
-        camera: at the size of the image.
-        local_from_camera: (4, 4) at mid-frame.
+        camera: camera at the size of the image.
+        local_from_camera: (4, 4) camera pose at mid-frame.
         timestamp_us: log time at mid-frame.
         poses: `local_from_actor` (4, 4) at mid-frame, of the named tracks.
-        local_from_rig: (4, 4) of the ego at mid-frame if the request says it; not needed to draw.
+        local_from_rig: (4, 4) ego pose at mid-frame if the request says it; not needed to draw.
     """
 
     scene_id: str

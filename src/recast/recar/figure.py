@@ -43,9 +43,9 @@ def write_figure(vehicle_set: VehicleSource, statistics: SetStatistics, folder: 
     """Write dataset.png, and its panels as views.png, colours.png and types.png.
 
     Args:
-        vehicle_set: whose pictures are shown.
-        statistics: of that set.
-        folder: to write to; made where it is missing.
+        vehicle_set: set whose pictures are shown.
+        statistics: statistics of that set.
+        folder: folder to write to; made where it is missing.
 
     Raises:
         InputError: a picture is broken.

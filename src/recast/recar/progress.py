@@ -21,10 +21,10 @@ class TrainingBar(Bars):
     """A bar with the latest means; where there is no terminal, a line for each line of the log.
 
     Args:
-        what: is trained.
-        steps: in all.
-        console: where to.
-        writer: of TensorBoard, see `tensorboard_writer`.
+        what: name of what is trained.
+        steps: number of steps in all.
+        console: console to write to.
+        writer: TensorBoard writer, see `tensorboard_writer`.
     """
 
     def __init__(self, what: str, steps: int, console: Console, writer: Any = None) -> None:
@@ -48,8 +48,8 @@ class TrainingBar(Bars):
         """A line of the log was written.
 
         Args:
-            step: it ends with.
-            values: it holds.
+            step: step that the line ends with.
+            values: values that the line holds.
             rate: learning rate.
         """
         shown = "  ".join(f"{name} {values[name]:.4g}" for name in _SHOWN if name in values)

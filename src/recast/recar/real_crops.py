@@ -59,8 +59,8 @@ class RealView:
     """One photograph of a vehicle; decoded when asked for.
 
     Attributes:
-        image, mask: files.
-        camera: rectified pinhole of the picture.
+        image, mask: files of the photograph and of its mask.
+        camera: rectified pinhole camera of the picture.
         actor_from_camera: (4, 4), actor frame: box centre, x forward, y left, z up.
     """
 

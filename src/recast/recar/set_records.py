@@ -76,15 +76,16 @@ class SetRecord(Record):
     Attributes:
         complete: False while identities are still being added.
         licence: SPDX identifier or words; every use of the pictures needs it.
-        source: where the pictures are from, for people.
-        identities: how many there are, or will be.
-        azimuths_deg: of the camera about the vehicle, one for each view: 0 ahead of it, 90 to its
-            left; regular and rising.
-        elevation_deg: of the camera above the horizontal through the box centre; None where it was
-            not measured.
+        source: source of the pictures, for people.
+        identities: number of identities that there are, or will be.
+        azimuths_deg: azimuths of the camera about the vehicle, one for each view: 0 ahead of it, 90
+            to its left; regular and rising.
+        elevation_deg: elevation of the camera above the horizontal through the box centre; None
+            where it was not measured.
         fov_deg: angle of view across the image's width; None where it was not measured.
-        width, height: of every view, pixels.
-        split_seed, held_out_share: decide the split of new identities, see `split_of`.
+        width, height: width and height of every view, in pixels.
+        split_seed, held_out_share: seed and share that decide the split of new identities, see
+            `split_of`.
         generator: settings of what made the set; None for photographs.
     """
 
@@ -114,16 +115,16 @@ class IdentityRecord(Record):
     """Contents of identity.json: one vehicle.
 
     Attributes:
-        id: unique in the set; the name of its folder.
+        id: name that is unique in the set; its folder has this name.
         kind: body type, such as "sedan".
-        category: of the label, see `recast.logs.Track`.
-        colour: name, such as "white".
+        category: category of the label, see `recast.logs.Track`.
+        colour: colour name, such as "white".
         size: length, width, height in metres of the box around it; None where not measured.
-        distance_m: from the camera to the box centre; None where not measured.
-        split: whether it may be trained on.
-        source: where this vehicle is from, if that is more than the set says: a file, an address.
-        seed: with which a generator made it; None for photographs.
-        licence: of this vehicle's pictures, where it is not that of the set.
+        distance_m: distance from the camera to the box centre; None where not measured.
+        split: split, which says whether it may be trained on.
+        source: source of this vehicle, if that is more than the set says: a file, an address.
+        seed: seed with which a generator made it; None for photographs.
+        licence: licence of this vehicle's pictures, where it is not that of the set.
     """
 
     version: int = SET_VERSION
@@ -159,9 +160,9 @@ def split_of(
     under the same name and seed agree about it.
 
     Args:
-        identity: its name.
-        seed: of the split.
-        share: of identities that are held out, in [0, 1].
+        identity: name of the identity.
+        seed: seed of the split.
+        share: share of identities that are held out, in [0, 1].
         index: its place in a sequence that only ever grows at its end. The first two are set by
             hand, one for training and one held out, so that neither part of a small set is empty.
     """

@@ -54,11 +54,11 @@ class SynthesisSettings:
     """What all identities of a synthetic set share.
 
     Attributes:
-        seed: of everything random, the split too.
+        seed: seed of everything random, the split too.
         views: pictures of each identity.
-        width, height: pixels.
-        kinds: of vehicles, drawn evenly; as often as on the road where none is named.
-        licence: of the pictures.
+        width, height: width and height of the pictures, in pixels.
+        kinds: kinds of vehicles, drawn evenly; as often as on the road where none is named.
+        licence: licence of the pictures.
         held_out: share of the identities that is never trained on.
     """
 
@@ -120,9 +120,9 @@ class PlannedIdentity:
     Attributes:
         id: its name in the set.
         group: what makes its shape.
-        seed: of its shape and light; depends on nothing but the set's seed and its own place.
-        split: decided beforehand.
-        mesh: the file, of the group "mesh".
+        seed: seed of its shape and light; depends on nothing but the set's seed and its own place.
+        split: split, decided beforehand.
+        mesh: mesh file, of the group "mesh".
         mesh_axes: its forward and up axes.
     """
 

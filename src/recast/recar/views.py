@@ -86,10 +86,11 @@ def fitting_distance(
 
     Args:
         size: length, width, height in metres.
-        camera: rectified, principal point in the middle.
-        elevation_deg: of the camera.
+        camera: rectified camera with the principal point in the middle.
+        elevation_deg: elevation of the camera.
         margin: share of width and height that stays free at each edge.
-        azimuths_deg: a quarter is as good as all of them, by symmetry of the box.
+        azimuths_deg: azimuths to fit at; a quarter is as good as all of them, by symmetry of the
+            box.
     """
     corners = boxes.corners(size)
     least = 0.0
@@ -183,8 +184,8 @@ class IdentitySource:
     """One vehicle; its pictures are decoded when asked for.
 
     Attributes:
-        record: what is known about it.
-        set_record: what it shares with all of the set.
+        record: record of what is known about it.
+        set_record: record of what it shares with all of the set.
     """
 
     record: IdentityRecord
@@ -233,9 +234,9 @@ class VehicleSource:
     """A set, in folders or in shards.
 
     Attributes:
-        folder: where it lies.
-        record: set.json.
-        identities: by id, sorted.
+        folder: folder of the set.
+        record: contents of set.json.
+        identities: identities by id, sorted.
     """
 
     folder: Path

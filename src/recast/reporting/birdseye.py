@@ -25,7 +25,7 @@ class BirdseyeStyle:
     """Sizes of the pictures in pixels; even numbers, for the film's sake.
 
     Attributes:
-        still_width, still_max_height: of the picture of the whole rollout.
+        still_width, still_max_height: width and largest height of the picture of the whole rollout.
         span: metres across a frame; an oncoming car 55 m ahead must be in it.
         words: whether frames say time, speeds and gap, and what the colours mean.
     """
@@ -60,7 +60,7 @@ class Birdseye:
         """Draw one state, the ego at the left and the route's direction to the right.
 
         Args:
-            step: 0..S.
+            step: number of the state, 0..S.
             others: poses (3,) of box centres of egos that other arms led elsewhere, as outlines.
 
         Returns:

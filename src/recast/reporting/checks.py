@@ -26,9 +26,12 @@ class CoverageLine:
     """One rollout.
 
     Attributes:
-        title, anchor: of its scenario, which is the `anchor`-th of the page.
+        title: title of its scenario.
+        anchor: number of that scenario on the page.
         planned: whether it is about the planner's images; else about all that were recorded.
-        mean: over the images; `visible` of `images` show the vehicle.
+        mean: mean coverage over the images.
+        visible: number of images that show the vehicle.
+        images: number of images.
     """
 
     title: str
@@ -203,7 +206,7 @@ class Glance:
 
     Attributes:
         counts: how many checks are good, bad, and need care.
-        coverage: of the vehicle over all images of all rollouts; None without shares.
+        coverage: coverage of the vehicle over all images of all rollouts; None without shares.
     """
 
     counts: tuple[tuple[str, int], ...]

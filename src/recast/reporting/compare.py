@@ -32,8 +32,9 @@ class ComparedRun:
     """One of the runs.
 
     Attributes:
-        log: name of its log; `log_hash` of its contents.
-        scenarios: by motion, setting and planner.
+        log: name of its log.
+        log_hash: hash of the log's contents.
+        scenarios: scenarios by motion, setting and planner.
         settings: JSON-able members, nested as deep as one likes; those that differ are shown.
     """
 
@@ -69,7 +70,7 @@ def write_comparison(runs: Sequence[ComparedRun], out: str | Path) -> Path:
     bytes.
 
     Args:
-        runs: at least two.
+        runs: runs to compare, at least two.
 
     Raises:
         InputError: `out` holds something that is no report, or the disk is full.

@@ -22,7 +22,7 @@ class Plot:
 
     Attributes:
         svg: `<svg>` element with `currentColor` as ink and no background.
-        left, right: where 0 and `time_end` lie, as shares of the width.
+        left, right: places of 0 and `time_end`, as shares of the width.
         time_end: what lies at the right end of the axis; seconds if it is one of time.
     """
 

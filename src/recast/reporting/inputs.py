@@ -42,7 +42,7 @@ class Fact:
     """One line of a list of facts.
 
     Attributes:
-        name, value: for people, with units.
+        name, value: texts for people, with units.
         help: what it means, shown on hover, or None.
     """
 
@@ -108,9 +108,9 @@ class RegistrationPart:
         median_before, median_after: metres from LiDAR points to the actor, before and after ICP.
         limit: metres; a larger `median_after` is flagged.
         points: LiDAR points used.
-        scale: isotropic, found by ICP on top of the box scaling.
-        yaw: radians, found by ICP on top of the coarse search.
-        translation: (3,) metres, actor-local frame.
+        scale: isotropic scale, found by ICP on top of the box scaling.
+        yaw: yaw in radians, found by ICP on top of the coarse search.
+        translation: (3,) translation, metres, actor-local frame.
         size_misfit: (2,) asset's width and height over the box's, after scaling by length, or None.
         sides: share of LiDAR points by side ("front", "rear", "left", "right"), 0..1.
         facts: anything else, such as the evidence for front against back.
@@ -133,7 +133,7 @@ class ActorPart:
     """The vehicle that was made.
 
     Attributes:
-        name: of the target, for example "track 0 (car)".
+        name: name of the target, for example "track 0 (car)".
         log_path: (N, 2) where it drove in the log, world metres, or None.
         all_around: views of the actor and of its shares; see `draw_all_around`.
         candidates: vehicles that it was chosen from.
@@ -177,8 +177,8 @@ class ScenarioPart:
     """The same motion of the actor under each arm.
 
     Attributes:
-        title: for example "Cut-in, setting A".
-        rollouts: one an arm, in the order of `ReportInputs.arms`.
+        title: title of the scenario, for example "Cut-in, setting A".
+        rollouts: one rollout for each arm, in the order of `ReportInputs.arms`.
     """
 
     title: str
@@ -192,7 +192,9 @@ class ImageScore:
 
     Attributes:
         region: what was compared, for example "whole image" or "inside moving cars' boxes".
-        psnr: dB; ssim: -1..1 or None; frames: how many images.
+        psnr: PSNR, dB.
+        ssim: SSIM, -1..1, or None.
+        frames: number of images.
     """
 
     region: str
@@ -206,7 +208,7 @@ class Comparison:
     """Pictures to look at side by side.
 
     Attributes:
-        caption: for example "frame 43, 24.1 dB".
+        caption: caption of the pictures, for example "frame 43, 24.1 dB".
         pictures: label to picture, such as "recorded", "rendered"; or one picture that holds both.
     """
 
@@ -220,7 +222,7 @@ class ScenePart:
 
     Attributes:
         facts: number of Gaussians, training time, image size and the like.
-        depth: against the LiDAR.
+        depth: facts on the scene's depth against the LiDAR.
     """
 
     scores: tuple[ImageScore, ...]
@@ -234,7 +236,9 @@ class ProvenancePart:
     """What is needed to make the run again.
 
     Attributes:
-        versions, seeds, hashes: of programs and libraries; by step; of contents, by name.
+        versions: versions of programs and libraries, by name.
+        seeds: seeds by step.
+        hashes: hashes of contents, by name.
     """
 
     versions: Mapping[str, str] = field(default_factory=dict)
@@ -251,13 +255,13 @@ class ReportInputs:
         truth_arm: the one of `arms` that shows what is really there, or None.
         showcase: the first screen; without one the page begins with the overview.
         truth: views beyond the log against the truth; left out of the page where nothing is given.
-        facts: of the run: cameras, image size, planner, length.
-        actor, scenarios, scene, hd_map, config, provenance: see there.
+        facts: facts of the run: cameras, image size, planner, length.
+        actor, scenarios, scene, hd_map, config, provenance: see their types.
         timings: step to seconds.
         warnings: what the reader has to know before trusting the page.
         replay: a page of its own with the moving scene, which is copied and linked; or None.
-        camera_headings: radians by name of camera, 0 ahead, positive to the left; for the choice
-            of the images of a moment. Empty takes the first camera.
+        camera_headings: headings in radians by name of camera, 0 ahead, positive to the left; for
+            the choice of the images of a moment. Empty takes the first camera.
     """
 
     title: str

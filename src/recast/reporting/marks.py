@@ -85,7 +85,8 @@ def fitted_view(points: Array, heading: float, width: int, max_height: int) -> V
 
     Args:
         heading: world direction, radians, that points to the right.
-        width: of the picture, pixels; it is at least a fifth as high, and `max_height` at most.
+        width: width of the picture, pixels; its height is at least a fifth of that, and at most
+            `max_height`.
     """
     turned = View(np.zeros(2), heading, 1.0, 0, 0).pixels(points)
     low, high = turned.min(axis=0) - _MARGIN, turned.max(axis=0) + _MARGIN

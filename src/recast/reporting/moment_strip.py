@@ -41,9 +41,9 @@ def camera_towards(
     """The camera whose heading is nearest to a bearing; the first if no heading is known.
 
     Args:
-        names: to choose among; None is returned if there are none.
-        headings: radians by name, 0 ahead, positive to the left.
-        bearing: radians, likewise.
+        names: names of the cameras to choose among; None is returned if there are none.
+        headings: headings in radians by name, 0 ahead, positive to the left.
+        bearing: bearing in radians, likewise.
     """
 
     def away(name: str) -> float:
@@ -70,7 +70,7 @@ class MomentColumn:
 
     Attributes:
         camera: name of the camera whose images are shown; None without films.
-        cells: one for each arm, in the order of `Strip.arms`.
+        cells: one cell for each arm, in the order of `Strip.arms`.
     """
 
     moment: Moment
@@ -97,7 +97,7 @@ def moment_strip(
 
     Args:
         parts: its rollouts, in the order of `run.arms`.
-        drawn: by arm, its rollout made ready to be drawn.
+        drawn: rollouts made ready to be drawn, by arm.
     """
     moments = find_moments(parts, run.arms)
     driven = [part for part in parts if part.arm in drawn]

@@ -25,8 +25,8 @@ class Series:
 
     Attributes:
         time: (S+1,) seconds from the start.
-        acceleration: (S+1,) longitudinal, of the ego, m/s^2.
-        ego_speed, log_ego_speed, actor_speed: (S+1,) m/s.
+        acceleration: (S+1,) longitudinal acceleration of the ego, m/s^2.
+        ego_speed, log_ego_speed, actor_speed: (S+1,) speeds, m/s.
         gap: (S+1,) metres between the two boxes seen from above; 0 where they overlap.
         contact: (S+1,) bool, whether they overlap, as NC counts it.
         plan_time: (C,) seconds at which each plan was made.
@@ -86,7 +86,7 @@ class Curves:
     """One arm's curves.
 
     Attributes:
-        ttc: (C,) seconds for each plan, or None.
+        ttc: (C,) time to collision of each plan, seconds, or None.
     """
 
     label: str
@@ -101,7 +101,8 @@ def rollout_plots(arms: Sequence[Curves], moments: Sequence[float] = ()) -> tupl
     Short strokes on the time axis are the plan steps.
 
     Args:
-        arms: at least one; the actor's and the recorded speed are those of the longest.
+        arms: curves of the arms, at least one; the actor's and the recorded speed are those of the
+            longest.
         moments: seconds that are marked with the numbers 1, 2, ...
     """
     longest = max(arms, key=lambda m: len(m.series.time)).series

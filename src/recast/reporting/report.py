@@ -65,11 +65,12 @@ class ScenarioView:
     """One scenario, ready for the page.
 
     Attributes:
-        cameras: all that some arm has a film of.
+        cameras: all cameras that some arm has a film of.
         joined: camera, and the film with all arms side by side; None if fewer than two have one.
-        lines: of the metric table, one an arm.
+        lines: lines of the metric table, one for each arm.
         legend: colour and meaning of the curves in `plots`, and of their areas.
-        seconds: the length of the longest rollout; `dt` between states.
+        seconds: length of the longest rollout.
+        dt: seconds between states.
         notes: sentences on how the arms compare: who drove alike, and how far from the truth;
             on what was shown of the actor; and how far to trust each verdict.
     """
@@ -99,7 +100,7 @@ def scenario_view(
     """Write a scenario's films and pictures and gather what the page says about it.
 
     Args:
-        pool: of threads that encode its films meanwhile.
+        pool: pool of threads that encode its films meanwhile.
     """
     order = {arm: i for i, arm in enumerate(run.arms)}
     parts = sorted(part.rollouts, key=lambda rollout: order[rollout.arm])
@@ -217,7 +218,7 @@ def _joined(
     """A film to pass on outside of the page: all arms beside each other, looking ahead.
 
     Args:
-        filmed: by arm, its films by camera.
+        filmed: films of each arm, by arm and camera.
     """
     camera = camera_towards(cameras, run.camera_headings)
     films = [

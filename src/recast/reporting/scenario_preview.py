@@ -37,13 +37,16 @@ class ScenarioFacts:
 
     Attributes:
         start: seconds after the first pose of the log.
-        ego_speed, actor_speeds: at the start; at the start, and at the end.
-        gap: along the route from the ego's front bumper to the actor's near end, at the start.
-        laterals: of the actor beside the route, left positive, at the start, and at the end.
-        meets_log: when the actor's box and that of the ego as recorded first overlap, or None.
-        off_road: when less than half of the actor's box is on a surveyed map's road, or None.
+        ego_speed: speed of the ego at the start.
+        actor_speeds: speeds of the actor at the start and at the end.
+        gap: distance along the route from the ego's front bumper to the actor's near end, at the
+            start.
+        laterals: lateral offsets of the actor from the route, left positive, at the start and at
+            the end.
+        meets_log: time when the actor's box and that of the ego as recorded first overlap, or None.
+        off_road: time when less than half of the actor's box is on a surveyed map's road, or None.
         seconds, asked: how long the rollout can be at most, and was asked to be.
-        cut_reason: why that is less, or None.
+        cut_reason: reason why that is less, or None.
     """
 
     name: str

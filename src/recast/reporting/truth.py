@@ -79,7 +79,7 @@ class TruthView:
     """The section, ready for the page.
 
     Attributes:
-        lines: of the table; the last two gather the ones above.
+        lines: lines of the table; the last two gather the ones above.
         pictures: caption and picture of each view, the furthest from the log first.
     """
 
@@ -100,7 +100,7 @@ def truth_parts(
     """First screen and section from the folder that `evaluate_oracle_views` wrote.
 
     Args:
-        arms: as in `ReportInputs`, for names and colours.
+        arms: arms as in `ReportInputs`, for names and colours.
         baseline: the one of `arms` that shows the street's own actor; None where none does.
 
     Raises:

@@ -215,7 +215,7 @@ def side_by_side(films: Sequence[str | Path], out: str | Path, labels: Sequence[
     and its label says so.
 
     Args:
-        films: at least one.
+        films: films to join, at least one.
 
     Raises:
         InputError: a film is missing or broken, or the films run at different rates.

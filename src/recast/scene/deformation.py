@@ -93,8 +93,8 @@ class Deformation:
     """How the Gaussians of one actor move over its time.
 
     Attributes:
-        network: that of all deformable actors of the scene.
-        code: (E,) float32, this actor's.
+        network: network of all deformable actors of the scene.
+        code: (E,) float32 code of this actor.
         reach: metres that are one unit of the network's places.
     """
 

@@ -65,7 +65,7 @@ def evaluate_scene(
             image and some shifted ones, a PNG with truth, rendering and three times their
             difference.
         lpips: a distance by networks, scored too.
-        shifts: of the ego at the held-out moments.
+        shifts: shifts of the ego at the held-out moments.
         truth: what shifted cameras truly see. Without it no shifted view is scored: `out` gets
             pictures of what the scene makes of them.
 
@@ -153,7 +153,7 @@ class ViewScorer:
     """Draws and scores views of one scene.
 
     Args:
-        log: of the views.
+        log: log that the views are from.
         lpips: a distance by networks, or None.
     """
 

@@ -28,11 +28,11 @@ class FrameScore:
     """Scores of one held-out image.
 
     Attributes:
-        whole: of all usable pixels.
+        whole: scores over all usable pixels.
         boxes: PSNR in dB inside the rectangle around each visible actor's projected box.
-        moving: inside the boxes of all that moves, length and width times 1.5; None where too
-            little does.
-        depth: against the LiDAR; None where the log has no sweep then.
+        moving: scores inside the boxes of all that moves, length and width times 1.5; None where
+            too little moves.
+        depth: depth scores against the LiDAR; None where the log has no sweep then.
     """
 
     camera: str
@@ -153,10 +153,10 @@ class DepthScore:
     Attributes:
         points: LiDAR points compared.
         missing: share of the points in whose pixel the scene is open sky; not in the errors.
-        median_abs_m, mean_abs_m: of |rendered - measured|.
-        mean_relative: of |rendered - measured| / measured.
-        lag_ms: between image and sweep. Training kept its hands off sweeps within 20 ms of a
-            held-out image; others it has seen.
+        median_abs_m, mean_abs_m: median and mean of |rendered - measured|, metres.
+        mean_relative: mean of |rendered - measured| / measured.
+        lag_ms: mean time between image and sweep, milliseconds. Training kept its hands off sweeps
+            within 20 ms of a held-out image; others it has seen.
     """
 
     points: int
@@ -215,7 +215,7 @@ def depth_score(
     camera are left out. From 1 m to 100 m.
 
     Args:
-        rendered: drawn from the view's pose.
+        rendered: image drawn from the view's pose.
         actors: the tracks that the sweeps were divided by.
 
     Returns:

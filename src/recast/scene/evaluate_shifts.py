@@ -66,7 +66,7 @@ class ShiftedView(View):
     """A view that the log does not have: a logged one from the shifted ego.
 
     Attributes:
-        shift: of the ego. Camera name, frame and time are those of the logged view; the pose
+        shift: shift of the ego. Camera name, frame and time are those of the logged view; the pose
             `world_from_camera` (4, 4) is shifted.
     """
 
@@ -88,7 +88,7 @@ class ShiftedScore:
 
     Attributes:
         camera, frame, timestamp_us: the logged view that it was.
-        moving: inside the boxes of moving objects, or None where too little moves.
+        moving: scores inside the boxes of moving objects, or None where too little moves.
     """
 
     camera: str
@@ -129,7 +129,7 @@ def shifted_views(
 
     Args:
         frames: camera and frame of each.
-        scale: of the images.
+        scale: scale of the images.
     """
     found = []
     for name, frame in frames:

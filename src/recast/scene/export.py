@@ -51,8 +51,8 @@ def export_scene(scene: StreetScene, folder: str | Path, splat_format: FormatNam
     deformable actor has the shape of the middle of its time.
 
     Args:
-        splat_format: of the Gaussians' files, whose names end accordingly; each is turned into the
-            axes of the format.
+        splat_format: format of the Gaussians' files, whose names end accordingly; each file is
+            turned into the axes of the format.
 
     Raises:
         InputError: `folder` exists, a part does not fit into the format, or the disk is full.
@@ -79,7 +79,7 @@ def export_scene_at(
     """Write merged.ply, everything there at a time in the world frame, sky.png and scene.json.
 
     Args:
-        seconds: after the first time that the scene knows, see `scene_interval`.
+        seconds: time after the first time that the scene knows, see `scene_interval`.
         splat_format: see `export_scene`.
 
     Returns:

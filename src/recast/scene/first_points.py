@@ -105,7 +105,7 @@ def plane_sweep_points(
     Sky, moving objects and unusable pixels are left out.
 
     Args:
-        views: in order of time within a camera; depths and skies are those of each view.
+        views: views in order of time within a camera; depths and skies are those of each view.
     """
     clouds = []
     for name in dict.fromkeys(view.camera_name for view in views):

@@ -77,8 +77,7 @@ class Initialisation:
         sky: first sky map.
         sky_pixels: (S,) int64 flat indices of sure sky pixels, for each training view.
         depths: measured depths of each training view.
-        ground: where the ground is even and how high; None without such ground, or where it is
-            left free.
+        ground: heights of even ground; None without such ground, or where it is left free.
         found: Gaussians that there would have been without `max_gaussians`.
     """
 

@@ -98,7 +98,7 @@ def make_level(
 
     Args:
         sky, ground: (H, W) masks of the view; no ground is kept where it is None.
-        samples: thinned evenly to `MAX_DEPTHS`.
+        samples: LiDAR depths, thinned evenly to `MAX_DEPTHS`.
     """
     camera, image, usable, uv = view.camera, view.image, view.mask, samples.uv
     if factor > 1:

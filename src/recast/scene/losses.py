@@ -167,7 +167,7 @@ def actor_opacity(alpha: Tensor, inside: Tensor) -> Tensor:
     over the image.
 
     Args:
-        alpha: (H, W) of actors rendered without the background.
+        alpha: (H, W) opacity of actors rendered without the background.
         inside: (H, W) bool, in an actor's box.
     """
     a = alpha.clamp(1e-6, 1 - 1e-6)

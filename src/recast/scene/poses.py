@@ -184,8 +184,9 @@ class _Present:
 
     Attributes:
         names: their ids.
-        logged: (A, 4, 4) float32 as logged.
-        rows, weights: (A, 2) of the table of offsets; (A, 0) where the table is empty.
+        logged: (A, 4, 4) float32 poses as logged.
+        rows, weights: (A, 2) rows of the table of offsets and their weights; (A, 0) where the table
+            is empty.
     """
 
     names: tuple[str, ...]

@@ -47,7 +47,7 @@ class SceneRasterizer:
     """Draws one scene again and again: what does not change is worked out once.
 
     Args:
-        device: where it is drawn, see `recast.splats.pick_device`.
+        device: device to draw on, see `recast.splats.pick_device`.
 
     Raises:
         InputError: there is no such device, or gsplat is missing.

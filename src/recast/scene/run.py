@@ -129,12 +129,12 @@ class TrainingStatus:
     Attributes:
         phase: what is being done: "initialise", "train", "evaluate", "done".
         iteration, iterations: steps done, and of how many.
-        gaussians: how many there are.
+        gaussians: number of Gaussians.
         most_gaussians: limit of Gaussians; None before it is known.
         limited: whether the limit kept any from being added.
         loss, psnr: running means over the latest training views; None before the first.
-        held_out_psnr: of the last periodic evaluation in dB; None before the first.
-        iterations_per_second: over the latest steps.
+        held_out_psnr: PSNR of the last periodic evaluation in dB; None before the first.
+        iterations_per_second: rate over the latest steps.
         seconds_left: estimate to the end of training.
     """
 

@@ -108,8 +108,8 @@ class RegionScore:
 
     Attributes:
         psnr: dB over the pixels, at most 100.
-        ssim: mean over the pixels of the map of the whole images.
-        lpips: None where no weights are given.
+        ssim: mean SSIM over the pixels, from the map of the whole images.
+        lpips: LPIPS; None where no weights are given.
     """
 
     psnr: float
@@ -123,7 +123,7 @@ class MovingRegion:
 
     Attributes:
         mask: (H, W) bool, the union of their projected boxes.
-        rectangles: around each box, within the image.
+        rectangles: rectangles around each box, within the image.
     """
 
     mask: Mask
@@ -183,7 +183,7 @@ def score_regions(
 
     Args:
         rendered: (H, W, 3) in [0, 1], unusable pixels as recorded.
-        view: with the image to compare with.
+        view: view with the image to compare with.
     """
     drawn, wanted = rendered.astype(np.float64), view.image.astype(np.float64) / 255
     similarity = ssim_map(torch.from_numpy(drawn), torch.from_numpy(wanted)).numpy()

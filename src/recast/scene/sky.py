@@ -154,7 +154,8 @@ def sky_from_pixels(directions: NDArray[np.float32], colours: NDArray[np.float32
     """A first map: the mean colour of the sky pixels seen in each cell, spread where none was.
 
     Args:
-        directions, colours: (M, 3) of sky pixels over all images; none makes a light grey sky.
+        directions: (M, 3) directions of sky pixels over all images; none makes a light grey sky.
+        colours: (M, 3) colours of these pixels.
     """
     if len(directions) == 0:
         return SkyMap.constant(torch.full((3,), 0.8))

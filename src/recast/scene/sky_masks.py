@@ -36,7 +36,7 @@ def sky_masks(
     """Sky of each view (H, W) bool, by the method that the configuration names.
 
     Args:
-        depths: of the views; the guess takes no pixel near a LiDAR return.
+        depths: LiDAR depths of the views; the guess takes no pixel near a LiDAR return.
 
     Raises:
         InputError: files or network are missing, or are not what is needed.

@@ -106,7 +106,7 @@ class SceneActor:
         """The actor with the shape that it had at a time of the recording, and rigid.
 
         Args:
-            timestamp_us: None for the middle of its time.
+            timestamp_us: time of the recording; None for the middle of the actor's time.
         """
         if self.deformation is None:
             return self
@@ -133,11 +133,11 @@ class StreetScene:
 
     Attributes:
         background: world-frame Gaussians, all that stands still.
-        actors: by track id.
+        actors: actors by track id.
         sky: colour at infinity.
         world_offset: (3,) float64, dataset coordinates = world coordinates + offset.
-        camera_corrections: by camera name, times (F,) int64 and twists (F, 6) of the learned
-            camera pose corrections (see `recast.scene.poses.corrected`).
+        camera_corrections: learned camera pose corrections by camera name: times (F,) int64 and
+            twists (F, 6) (see `recast.scene.poses.corrected`).
         log_name: the log it was made from.
         origin: the folder that it was read from; None for one that was changed or never saved.
     """

@@ -80,7 +80,7 @@ def train_scene(
 
     Args:
         progress: told every few steps how far training is; see `TrainingDisplay`.
-        device: where to train, see `recast.splats.pick_device`; a run may go on on another one.
+        device: device to train on, see `recast.splats.pick_device`; a run may go on on another one.
 
     Raises:
         InputError: the folder holds another run, the log lacks what is needed, the disk is full,

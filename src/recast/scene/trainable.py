@@ -139,7 +139,7 @@ class TrainableScene:
         """Put the actors at `world_from_actor` poses (4, 4) behind the background.
 
         Args:
-            shares: of each actor's time, where colours change with it.
+            shares: shares of each actor's time, where colours change with it.
             flipped: (A,) bool, rows of actors to draw mirrored; see `recast.scene.appearance`.
             shapes: what moves the Gaussians of an actor within its box, differentiable.
         """

@@ -65,8 +65,9 @@ class Trainer:
     """Holds everything that training changes.
 
     Attributes:
-        iteration: steps done.
-        device: where the Gaussians, the sky and the view at hand lie; poses stay on the CPU.
+        iteration: number of steps done.
+        device: device that holds the Gaussians, the sky and the view at hand; poses stay on the
+            CPU.
         model: the Gaussians.
         deformable: the network that deforms actors.
         camera_poses, track_poses: pose corrections.

@@ -24,12 +24,12 @@ class View:
     Attributes:
         camera_name: stream in the log.
         frame: index in that stream.
-        timestamp_us: of the exposure.
+        timestamp_us: time of the exposure.
         camera: intrinsics of `image`, rectified.
         world_from_camera: (4, 4) as logged.
         image: (H, W, 3) uint8 RGB; (0, 0, 3) where it was not read.
         mask: (H, W) bool, False where the image is never usable, or None.
-        held_out: kept from training and from everything that leads to it.
+        held_out: whether the view is kept from training and from everything that leads to it.
     """
 
     camera_name: str

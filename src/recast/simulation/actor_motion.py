@@ -34,15 +34,15 @@ class StartSituation:
     Attributes:
         route: the ego's reference route.
         ego_s: route coordinate of the ego's box centre, metres.
-        ego_speed: m/s.
-        ego_length: metres.
+        ego_speed: speed of the ego, m/s.
+        ego_length: length of the ego's box, metres.
         actor_size: (3,) length, width, height of the actor's box, metres.
         neighbour_lateral: offset in metres, left positive, of the neighbouring lane of the same
             direction; None where there is none.
-        track_id: of the actor.
+        track_id: id of the actor's track.
         trajectory: `world_from_object` of the actor as the log has it; None if there is none.
         start_timestamp_us: log time of the start.
-        seed: of the rollout, for motions that draw random numbers.
+        seed: seed of the rollout, for motions that draw random numbers.
     """
 
     route: ReferenceRoute
@@ -167,8 +167,8 @@ class MotionInput:
     """What a motion sees at one step.
 
     Attributes:
-        situation: where everything was at the start.
-        step: of `state`, 0 at the start.
+        situation: situation at the start.
+        step: step of `state`, 0 at the start.
         steps: how many steps the rollout was asked for.
         state: (4,) x, y, heading of the actor's box centre, speed; world, SI units.
         ego: the ego now, its box and velocity; its `track_id` is "ego".
@@ -193,7 +193,7 @@ class Quantity:
     """A number of a motion in a scenario file; annotates the member that it sets.
 
     Attributes:
-        unit: as people read it.
+        unit: name of the unit, as people read it.
         low, high: the range, both included.
         positive: `low` is 0 and itself not allowed.
         optional: may be left out; the motion has a default.

@@ -32,8 +32,8 @@ class ControlledActors:
     """States and poses of all controlled actors up to now; those that react grow step by step.
 
     Args:
-        setup: of the rollout.
-        start: from `start_rollout`.
+        setup: setup of the rollout.
+        start: start from `start_rollout`.
     """
 
     def __init__(self, setup: RolloutSetup, start: RolloutStart) -> None:
@@ -73,7 +73,7 @@ class ControlledActors:
         """Move those that react by one step.
 
         Args:
-            ego_state: (11,) the ego before the step.
+            ego_state: (11,) state of the ego before the step.
 
         Returns:
             Why the rollout ends here, in words, if one of them would leave the recorded road; none
@@ -174,9 +174,9 @@ class PreparedActor:
     """A further controlled actor as it will move.
 
     Attributes:
-        track_id: of the log.
+        track_id: id of the actor's track in the log.
         states: (S+1, 4) x, y, heading of the box centre, speed.
-        world_from_actor: (S+1, 4, 4).
+        world_from_actor: (S+1, 4, 4) the box centre in space.
     """
 
     track_id: str
@@ -197,7 +197,7 @@ class PreparedRollout:
         ego: (11,) initial ego state.
         log_ego: (S+1, 4) logged ego x, y, heading, speed.
         actor: (S+1, 4) the target: x, y, heading of the box centre, speed.
-        world_from_actor: (S+1, 4, 4).
+        world_from_actor: (S+1, 4, 4) the target's box centre in space.
         cut_reason: why S is less than asked for; None if it is not.
         further: the further controlled actors, in order.
     """

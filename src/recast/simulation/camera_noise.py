@@ -26,7 +26,7 @@ class NoisyRenderer:
     Args:
         noise: "grey" (see `grey_noise`; another draw for each camera and step) or "jitter" (see
             `jittered`).
-        seed: of the draws.
+        seed: seed of the draws.
     """
 
     def __init__(self, renderer: SensorRenderer, noise: ImageNoise, seed: int) -> None:

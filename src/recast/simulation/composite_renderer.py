@@ -55,7 +55,7 @@ class TrueVehicleRenderer(WorldRenderer):
     Args:
         world: see `WorldRenderer`, as for `mounts`, `workers` and `pool`.
         scene: the street; its own models of the tracks are left out.
-        tracks: whose vehicles are the true ones.
+        tracks: tracks whose vehicles are the true ones.
     """
 
     def __init__(
@@ -117,7 +117,7 @@ class GeneratedVehicleRenderer(WorldRenderer):
     Args:
         world: see `WorldRenderer`, as for `mounts`, `workers` and `pool`.
         scene: has the vehicles as actors, which bring their light; its street is not drawn.
-        tracks: whose vehicles are those of the scene.
+        tracks: tracks whose vehicles are those of the scene.
     """
 
     def __init__(

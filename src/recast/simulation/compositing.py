@@ -57,8 +57,8 @@ def vehicle_in_street(
 
     Args:
         street: (H, W, 3) all of the street.
-        front: (H, W, 3) of it what is nearer than the vehicle, premultiplied.
-        front_alpha: (H, W) opacity of that.
+        front: (H, W, 3) the part of the street that is nearer than the vehicle, premultiplied.
+        front_alpha: (H, W) opacity of that part.
         vehicle: (H, W, 3) uint8 the vehicle alone, not mixed with anything.
         alpha: (H, W) share of the pixel that it covers.
     """
@@ -81,11 +81,11 @@ def gaussians_in_truth(
     lies on the road.
 
     Args:
-        truth: (H, W, 3) uint8.
-        truth_depth: (H, W) metres at the pixel centres, infinite for the sky.
+        truth: (H, W, 3) uint8 the true image.
+        truth_depth: (H, W) depth of the truth at the pixel centres, metres; infinite for the sky.
         layer: (H, W, 3) colour of the Gaussians, premultiplied.
-        depth: (H, W) sum of T alpha z of them, metres.
-        alpha: (H, W) their opacity.
+        depth: (H, W) sum of T alpha z of the Gaussians, metres.
+        alpha: (H, W) opacity of the Gaussians.
     """
     metres, share = _NEARER
     own = depth / np.maximum(alpha, np.float32(1e-6))

@@ -39,10 +39,10 @@ class ImageCoverage:
     """The coverage in one image.
 
     Attributes:
-        camera: name.
-        step: of the rollout.
+        camera: name of the camera.
+        step: step of the rollout.
         planned: whether the planner was given this image.
-        coverage: of the actor; its pixels are 0 where the image does not show it.
+        coverage: coverage of the actor; its pixels are 0 where the image does not show it.
     """
 
     camera: str

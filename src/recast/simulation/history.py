@@ -32,7 +32,7 @@ def sim_state(
     """The world at a step.
 
     Args:
-        now: (11,) the ego then.
+        now: (11,) state of the ego at that step.
     """
     time = timestamp_us(setup, start, step)
     controlled = {}
@@ -93,8 +93,9 @@ def make_rollout(
     """A rollout of the states that were reached, validated.
 
     Args:
-        ego_states: (S+1, 11) of the simulated ego.
-        predictions, plan_steps: (40, 3) waypoints of each plan, and when it was made.
+        ego_states: (S+1, 11) states of the simulated ego.
+        predictions: (40, 3) waypoints of each plan.
+        plan_steps: step at which each plan was made.
 
     Raises:
         ValueError: the states are none, see `Rollout.validate`.

@@ -38,9 +38,11 @@ class CutIn(Scripted):
     """Drives beside and ahead of the ego, then moves into its lane while slowing down.
 
     Attributes:
-        gap: metres at the start.
-        initial_speed, target_speed: as shares of the reference speed v_r.
-        delay, duration: seconds until the lane change begins, and it takes.
+        gap: metres from the ego's front bumper to the actor at the start.
+        initial_speed: speed at the start, as a share of the reference speed v_r.
+        target_speed: speed that it changes to, as a share of v_r.
+        delay: seconds until the lane change begins.
+        duration: seconds that the lane change takes.
         stop_after: seconds from the end of the lane change until it brakes to a standstill. None:
             it drives on. The name should say which, as results show it.
     """
@@ -81,11 +83,11 @@ class Oncoming(Scripted):
     """Comes towards the ego in its lane.
 
     Attributes:
-        gap: metres at the start.
-        speed: m/s.
+        gap: metres from the ego's front bumper to the actor at the start.
+        speed: speed of the actor, m/s.
         stop_distance: metres after which it stands: an ego that brakes avoids it. None: it drives
             on, and hits an ego that stands. The name should say which, as results show it.
-        lateral: metres to the left of the route.
+        lateral: offset from the route in metres, left positive.
     """
 
     setting: str
@@ -112,11 +114,11 @@ class Stationary(Scripted):
     The gap is the larger of `min_gap` and what the ego needs to stop, v^2 / `braking` + `reserve`.
 
     Attributes:
-        min_gap: metres.
+        min_gap: smallest gap, metres.
         braking: twice the deceleration that just suffices, m/s^2.
-        reserve: metres.
-        yaw: radians off the direct facing.
-        lateral: metres to the left of the route.
+        reserve: distance added to v^2 / `braking`, metres.
+        yaw: angle off the direct facing, radians.
+        lateral: offset from the route in metres, left positive.
     """
 
     setting: str
@@ -141,8 +143,8 @@ class Advancing(Scripted):
     """Drives slowly in the next lane, so that the ego passes it.
 
     Attributes:
-        gap: metres at the start.
-        speed: as a share of the reference speed v_r.
+        gap: metres from the ego's front bumper to the actor at the start.
+        speed: speed as a share of the reference speed v_r.
     """
 
     setting: str
@@ -230,11 +232,11 @@ class Idm:
     actors. Nothing is predicted: a vehicle that crosses the path is seen once it is on it.
 
     Attributes:
-        speed: desired, as a share of the reference speed v_r.
-        headway: seconds behind the one ahead.
-        min_gap: metres to it at a standstill, bumper to bumper.
+        speed: desired speed, as a share of the reference speed v_r.
+        headway: time behind the road user ahead, seconds.
+        min_gap: metres to the road user ahead at a standstill, bumper to bumper.
         gap: metres ahead of the ego at the start; None for the actor's own path.
-        lateral: metres to the left of the ego's route; needs `gap`.
+        lateral: offset from the ego's route in metres, left positive; needs `gap`.
 
     Raises:
         ValueError: `lateral` is given without `gap`, or a parameter is out of range.

@@ -25,7 +25,7 @@ class TrueView(NamedTuple):
     """One camera at one step, for an oracle in another process.
 
     Attributes:
-        exposed_as: camera of the log whose exposure it has.
+        exposed_as: name of the log's camera whose exposure it has.
         poses: `world_from_actor` (4, 4) of the actors, by track id.
         tracks: those that a renderer leaves out or draws apart.
         noise: number of the camera noise; 0 is the truth's own.
@@ -67,7 +67,8 @@ class WorldRenderer(Mounted, Closing):
             but not more than cameras; 1 for none.
         tracks: see `TrueView`.
         noise: see `TrueView`.
-        pool: of the same world, whose processes render instead of own ones; closing leaves it open.
+        pool: pool of the same world, whose processes render instead of own ones; closing leaves it
+            open.
 
     Raises:
         InputError: workers is negative, or embreex is not installed.

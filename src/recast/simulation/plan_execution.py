@@ -92,7 +92,7 @@ class EgoController(Protocol):
         """Ego states (steps + 1, 11), the given one (11,) first.
 
         Args:
-            waypoints: (40, 3) in the ego frame of `state`, `dt` apart.
+            waypoints: (40, 3) waypoints in the ego frame of `state`, `dt` apart.
             steps: how many steps to execute.
             vehicle: the ego.
             dt: seconds per step, and between waypoints.

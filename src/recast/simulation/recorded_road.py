@@ -45,7 +45,8 @@ class RecordedRoad:
     Attributes:
         route: the ego's reference route.
         margin: metres before its end that are left free.
-        own: (N, 2) its own logged path if it follows that, which counts as well; else None.
+        own: (N, 2) the road user's own logged path if it follows that, which counts as well; else
+            None.
     """
 
     route: ReferenceRoute
@@ -116,7 +117,8 @@ class RoadSurface:
     Attributes:
         route: gives the coordinate s of everything here.
         s: (T,) increasing route coordinates of logged poses.
-        z, pitch, roll: (T,) of the logged rig there; the rig's origin lies on the ground.
+        z, pitch, roll: (T,) height, pitch and roll of the logged rig there; the rig's origin lies
+            on the ground.
         ground: grid of ground heights, or None.
     """
 

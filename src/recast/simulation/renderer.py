@@ -36,8 +36,8 @@ def camera_mounts(
     """The log's cameras, rectified and resized.
 
     Args:
-        camera_names: None for all.
-        scale: of width and height, rounded to whole pixels.
+        camera_names: names of the cameras; None for all.
+        scale: factor on width and height, which are rounded to whole pixels.
 
     Raises:
         InputError: a camera is not in the log.

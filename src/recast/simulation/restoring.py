@@ -22,7 +22,7 @@ class Restorer(Protocol):
     """Improves images.
 
     Attributes:
-        name: for records.
+        name: name of the restorer, for records.
     """
 
     name: str

@@ -46,11 +46,12 @@ class Rollout:
     """One closed-loop rollout of S executed steps, with states k = 0..S and C plans.
 
     Attributes:
-        name: of the rollout, unique within a batch.
+        name: name of the rollout, unique within a batch.
         arm: what rendered the actor ("native", "recast", ...); the states of a scripted actor do
             not depend on it.
         track_id: the target, the first controlled vehicle.
-        motion, setting: as in `recast.simulation.motions`, for example "cut-in" and "a".
+        motion: name of the motion, as in `recast.simulation.motions`, for example "cut-in".
+        setting: name of its setting, for example "a".
         planner: the planner's name.
         start_timestamp_us: log time of state 0.
         dt: seconds between states.
@@ -203,11 +204,11 @@ class RolloutFailure:
     """A rollout that ended in an error: a row of the report, not the end of the batch.
 
     Attributes:
-        name, arm, track_id, motion, setting, planner: as in `Rollout`.
+        name, arm, track_id, motion, setting, planner: the rollout's, as in `Rollout`.
         error: the exception's class.
         reason: its message.
-        traceback: where it was raised, the last `running.TRACEBACK_LIMIT` characters; "" in records
-            of an older recast.
+        traceback: traceback of the exception, the last `running.TRACEBACK_LIMIT` characters; "" in
+            records of an older recast.
     """
 
     name: str

@@ -46,10 +46,10 @@ class StartingActor:
     """A controlled actor before the first step.
 
     Attributes:
-        track: of the log.
+        track: the actor's track in the log.
         motion: what it does.
-        situation: what it does that from.
-        road: where it may be.
+        situation: situation in which the motion starts.
+        road: recorded road, on which it may be.
         states: (S+1, 4) its script; (1, 4) its first state if it reacts.
         world_from_actor: (S+1, 4, 4) or (1, 4, 4), the same in space.
     """
@@ -98,7 +98,7 @@ def start_rollout(setup: RolloutSetup, seed: int = 0) -> RolloutStart:
     """Find the start, script the actors, and cut what the recorded road does not carry.
 
     Args:
-        seed: for motions that draw random numbers.
+        seed: seed for motions that draw random numbers.
 
     Raises:
         InputError: no such track; no route; a start outside the log; a route off the map; a

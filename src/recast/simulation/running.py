@@ -47,7 +47,7 @@ def run_rollout(
     Args:
         renderer: needed where anything is rendered.
         on_frame: receives states and images, for a film.
-        timings: is added to.
+        timings: timings that are added to.
 
     Raises:
         InputError: see `recast.simulation.rollout_start.start_rollout` and `planner_cameras`; or
@@ -186,9 +186,9 @@ def probe_path(
     and heading must grow, on the right one fall.
 
     Args:
-        planner: as it would be given to `run_rollout`.
-        speed: m/s at the start.
-        steps: of 0.1 s.
+        planner: planner as it would be given to `run_rollout`.
+        speed: speed at the start, m/s.
+        steps: number of steps of 0.1 s.
         controller: executes the plans; None for the default one.
 
     Returns:

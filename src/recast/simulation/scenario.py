@@ -35,8 +35,9 @@ class Scenario:
     """One setting of a scenario with several actors; give it to `RolloutSetup` as `motion`.
 
     Attributes:
-        name, setting: of the scenario, such as "squeeze" and "a".
-        motion: of the target, the track that `RolloutSetup.track_id` names.
+        name: name of the scenario, such as "squeeze".
+        setting: its setting, such as "a".
+        motion: motion of the target, the track that `RolloutSetup.track_id` names.
         actors: the further controlled actors, in order.
         description: one sentence, for people.
     """

@@ -23,9 +23,9 @@ class SceneRenderer(Mounted):
     """Renders a reconstructed street scene.
 
     Args:
-        scene: in the log's world frame; must hold the controlled actors.
+        scene: scene in the log's world frame; must hold the controlled actors.
         mounts: cameras to render, see `camera_mounts`.
-        device: where to render, see `SceneRasterizer`.
+        device: device to render on, see `SceneRasterizer`.
         absent: tracks that are not drawn, wherever they are.
     """
 
@@ -107,8 +107,8 @@ class LensRenderer(Mounted):
     camera of the log looks (see `CameraMount.seen`), virtual ones are black.
 
     Args:
-        renderer: of pinhole cameras; has the mounts that `pinhole_mounts` gives for each of
-            `mounts`.
+        renderer: renderer of pinhole cameras; has the mounts that `pinhole_mounts` gives for each
+            of `mounts`.
         mounts: the cameras as they shall be.
     """
 

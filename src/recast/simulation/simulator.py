@@ -65,11 +65,11 @@ class Simulator:
             one is the target.
         cameras: names of the cameras in the observations; None for all of the log, or all of the
             given renderer. Without a scene there are none.
-        scale: of the images of a street scene, against the log's.
-        device: where a street scene is rendered: "auto", "cpu", "cuda" or "cuda:1".
+        scale: size of a street scene's images, as a share of the log's.
+        device: device that renders a street scene: "auto", "cpu", "cuda" or "cuda:1".
         planner: name of who plans, for the rollout.
-        timings: is added to; None for new ones.
-        settings: as for `RolloutSetup`: `steps`, `plan_every`, `dt`, `vehicle`, `controller`,
+        timings: timings that the simulator adds to; None for new ones.
+        settings: arguments of `RolloutSetup`: `steps`, `plan_every`, `dt`, `vehicle`, `controller`,
             `map`, `start_timestamp_us`, `keep_other_actors`, `road_margin` and `arm`.
 
     Raises:
@@ -213,7 +213,7 @@ class Simulator:
         """Begin the rollout anew.
 
         Args:
-            seed: for motions that draw random numbers (`StartSituation.seed`); None for 0.
+            seed: seed for motions that draw random numbers (`StartSituation.seed`); None for 0.
 
         Raises:
             InputError: see the class.
@@ -238,7 +238,7 @@ class Simulator:
         """What a planner sees now.
 
         Args:
-            images: of the cameras; None to render them.
+            images: images of the cameras; None to render them.
         """
         step, now = self.step_number, self._ego[-1]
         history = np.array([*self._past, *self._ego][-history_steps(self._setup) - 1 :])

@@ -43,9 +43,9 @@ def refuse_starts(
     """Refuse controlled actors that overlap the ego or each other, or stand beside the road.
 
     Args:
-        road: from `surveyed_road`. An actor that follows its own logged path was recorded where it
-            stands, so it is not refused by a map.
-        ego: (11,) its first state.
+        road: road from `surveyed_road`. An actor that follows its own logged path was recorded
+            where it stands, so it is not refused by a map.
+        ego: (11,) first state of the ego.
         actors: track, motion and (3,) first pose of the box centre, the target first.
 
     Raises:
@@ -90,7 +90,7 @@ def refuse_off_map(
     """Refuse a map that is not of this drive.
 
     Args:
-        road: from `surveyed_road`; None refuses nothing.
+        road: road from `surveyed_road`; None refuses nothing.
         start: route coordinate from which the route is looked at, metres.
 
     Raises:
@@ -142,7 +142,7 @@ def checked_state(motion: ActorMotion, value: object, step: int, where: str) -> 
     """A state (4,) that a motion's `start` or `step` returned.
 
     Args:
-        step: of the state, 0 at the start.
+        step: step of the state, 0 at the start.
 
     Raises:
         InputError: it is no state; names the motion, the step and the value.

@@ -84,8 +84,8 @@ class RolloutOrigin:
     """What a rollout of this process was run with: metrics find the map in it, reports the scene.
 
     Attributes:
-        setup: of the rollout.
-        renderer: of its images; None if nothing was rendered.
+        setup: setup of the rollout.
+        renderer: renderer of its images; None if nothing was rendered.
     """
 
     setup: RolloutSetup
@@ -97,8 +97,8 @@ class ControlledActor:
     """A controlled actor beside the target, with states k = 0..S.
 
     Attributes:
-        track_id: of the log.
-        category: as in `Track.category`.
+        track_id: id of the actor's track in the log.
+        category: category of the actor, as in `Track.category`.
         motion, setting: names of what it did.
         states: (S+1, 4) x, y, heading of the box centre, speed >= 0; world, SI units.
         world_from_actor: (S+1, 4, 4) the box centre in space.
@@ -125,7 +125,7 @@ class ControlledActor:
         """Raise ValueError naming the field at fault.
 
         Args:
-            states: how many the rollout has.
+            states: number of states of the rollout.
         """
         for name in ("track_id", "category", "motion", "setting"):
             check_limited(f"Rollout.controlled: {name}", getattr(self, name), NAME_LIMIT)
@@ -147,7 +147,7 @@ def check_array(
     """Raise ValueError unless an array has a shape (None: any length) and holds possible numbers.
 
     Args:
-        kind: of its dtype.
+        kind: kind of the array's dtype, as in `numpy.dtype.kind`.
     """
     fits = value.ndim == len(shape) and all(
         want is None or have == want for have, want in zip(value.shape, shape, strict=True)

@@ -84,7 +84,7 @@ def read_yaml(text: str, where: str) -> Node:
     """The tree of one YAML document.
 
     Args:
-        where: its file, for errors.
+        where: name of its file, for errors.
 
     Raises:
         InputError: not YAML, more than one document, a key given twice, a tag, too many nodes or

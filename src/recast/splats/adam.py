@@ -27,9 +27,9 @@ class RowAdam:
     Args:
         params: leaf tensors (N, ...) by name, float32 and contiguous; their `.grad` is read.
         lrs: learning rates by name; a name without one needs it in every `step`.
-        column_rates: by name, factors of the learning rate within a row (shape of a row).
-        bounds: by name, low and high that a value is clamped to after its step (each a number or
-            the shape of a row).
+        column_rates: factors of the learning rate within a row (shape of a row), by name.
+        bounds: low and high bound, by name, that a value is clamped to after its step (each a
+            number or the shape of a row).
         backend: "native" the compiled kernel (CPU), "foreach" a few operations on whole tensors
             that never wait for the device (CUDA), "reference" the readable one; "auto" what suits
             the parameters' device.

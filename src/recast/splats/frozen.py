@@ -45,7 +45,7 @@ class FrozenGaussians:
     Attributes:
         gaussians: N Gaussians.
         low_pass: filter that they were made for, and through which they are drawn.
-        tables: for the compiled kernel; None where it is not there or does not draw them.
+        tables: tables for the compiled kernel; None where it is not there or does not draw them.
     """
 
     gaussians: Gaussians

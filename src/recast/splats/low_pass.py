@@ -122,7 +122,7 @@ def _weight(pixels_from_axes: Tensor, log_scales: Tensor, low_pass: LowPass) -> 
     """Integral over the image of Gaussians of opacity one, over 2 pi, px^2, float64.
 
     Args:
-        pixels_from_axes: (N, 2, 3) from metres along a Gaussian's axes to pixels.
+        pixels_from_axes: (N, 2, 3) matrices from metres along a Gaussian's axes to pixels.
         log_scales: (N, 3).
     """
     axes = pixels_from_axes.double() * log_scales.double().exp()[:, None]

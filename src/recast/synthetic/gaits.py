@@ -53,7 +53,7 @@ class Walk:
     """A walk; its feet do not slip: while a foot is down it moves back as fast as the body ahead.
 
     Attributes:
-        look: of the person.
+        look: look of the person.
         pack: linear RGB of a backpack, None without one.
     """
 
@@ -141,7 +141,7 @@ class Ride:
     """A ride without freewheeling; wheels roll without slipping.
 
     Attributes:
-        look: of the rider.
+        look: look of the rider.
         frame: linear RGB of the bicycle's frame.
     """
 

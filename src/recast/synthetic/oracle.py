@@ -66,9 +66,9 @@ class Oracle:
         Args:
             world_from_camera: (4, 4), OpenCV camera frame.
             poses: `world_from_actor` (4, 4) by track id; None for those of the log.
-            timestamp_us: of the log, needed where `poses` is None.
+            timestamp_us: time in the log in microseconds, needed where `poses` is None.
             exposure: factor on all light.
-            rng: of the rays; None for one that only the world's seed decides.
+            rng: random generator of the rays; None for one that only the world's seed decides.
             absent: tracks that are taken out of the world, parked ones too.
             hidden: tracks that the camera looks through; their shadows and reflections stay.
             alone: tracks beside which nothing is seen, in the light that they have in the street;
@@ -171,7 +171,7 @@ class OraclePool(Closing):
         """`function(oracle, job)` of every job, in their order.
 
         Args:
-            function: of a module, so that other processes find it.
+            function: function of a module, so that other processes find it.
 
         Raises:
             InputError: a process was killed.

@@ -117,7 +117,7 @@ class PlacedPerson:
 
     Attributes:
         placed: planar poses.
-        ground: (T,) height under it.
+        ground: (T,) height of the ground under it.
     """
 
     placed: Placed

@@ -66,8 +66,8 @@ class Rig:
     """All sensors.
 
     Attributes:
-        cameras: by name.
-        rig_from_lidar: (4, 4) of the sensor `LIDAR`, which looks along the rig's x axis.
+        cameras: cameras by name.
+        rig_from_lidar: (4, 4) pose of the sensor `LIDAR`, which looks along the rig's x axis.
     """
 
     cameras: Mapping[str, RigCamera]
@@ -125,7 +125,7 @@ class TruthRecord(BaseModel):
     """The contents of truth.json.
 
     Attributes:
-        frames: by camera.
+        frames: number of frames by camera.
         instances: track id by the value of its pixels.
     """
 
@@ -144,7 +144,7 @@ class Truth:
     """Reads the folder; frames are decoded when asked for.
 
     Attributes:
-        folder: that of truth.json.
+        folder: folder of truth.json.
         record: its contents.
     """
 

@@ -37,7 +37,7 @@ class Material:
     """One material; the diffuse colour is given per face.
 
     Attributes:
-        name: unique.
+        name: unique name.
         texture: procedural pattern that multiplies the diffuse colour.
         specular: reflectance at normal incidence, Fresnel F0 in [0, 1].
         roughness: 0 mirrors, 1 has no highlight.

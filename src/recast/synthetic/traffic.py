@@ -66,8 +66,8 @@ class TargetDrive:
 
     Attributes:
         manner: what was possible, see `Manner`.
-        path: of its middle.
-        place: (T,) metres along it.
+        path: path of the target's middle.
+        place: (T,) metres along the path.
     """
 
     manner: Manner

@@ -30,9 +30,9 @@ class Sky:
         sun_direction: (3,) unit vector towards the sun, world frame.
         sun: (3,) linear RGB irradiance on a surface that faces the sun.
         zenith, horizon: (3,) linear RGB radiance of the sky overhead and at the horizon.
-        sun_radius: radians of the disc that casts soft shadows.
-        clouds: cover in [0, 1].
-        seed: of the cloud pattern.
+        sun_radius: radius, in radians, of the disc that casts soft shadows.
+        clouds: cloud cover in [0, 1].
+        seed: seed of the cloud pattern.
     """
 
     sun_direction: Array
@@ -49,7 +49,7 @@ class ParkingSpot:
     """Where a car may stand.
 
     Attributes:
-        x, y, heading: of the box centre, world frame, radians.
+        x, y, heading: place and heading of the box centre, world frame, metres and radians.
         length: metres that a vehicle there may have.
     """
 
@@ -96,7 +96,7 @@ class VehicleModel:
     Attributes:
         kind: "hatchback", "sedan", "estate", "suv", "pickup", "van", "box-truck" or "bus";
             "pedestrian" or "cyclist".
-        category: of the label, see `recast.logs.Track`.
+        category: category of the label, see `recast.logs.Track`.
         colour: name, such as "white".
         size: (3,) length, width, height of the box around it, metres; mirrors not counted.
         surface: triangles in the actor-local frame: origin at the box centre, x forward, y left,
@@ -117,7 +117,7 @@ class Vehicle:
     """One vehicle or person in the world.
 
     Attributes:
-        track_id: unique in the world.
+        track_id: track id, unique in the world.
         model: its shape.
         trajectory: `world_from_actor` at the times of the log.
         parked: never moves in the log.

@@ -59,8 +59,8 @@ class Measurement:
 
     Attributes:
         sensor: a camera's name, or `LIDAR`.
-        frame: which moment of the log.
-        timestamp_us: of it.
+        frame: index of the moment in the log.
+        timestamp_us: time of that moment in microseconds.
         rig: the sensors.
         spool: folder for images and sweeps, with a folder for each sensor.
         truth: folder for depth and instances, or None.
@@ -193,7 +193,7 @@ def synthesize_log(
     same bytes for the same world whatever the number of workers.
 
     Args:
-        width, height: of the images, pixels.
+        width, height: size of the images, pixels.
         cameras: names out of `CAMERAS`, None for all.
         workers: processes; 0 for one for each core.
         truth: also write exact depth and instance masks, see `recast.synthetic.rig`.

@@ -40,7 +40,7 @@ class Table:
     Attributes:
         path: the file, for messages.
         mend: what the user can do about any fault in it.
-        data: at most `ROW_LIMIT` rows; every column is plain (see `require_plain`).
+        data: table of at most `ROW_LIMIT` rows; every column is plain (see `require_plain`).
     """
 
     path: Path

@@ -40,7 +40,7 @@ class FlatTable:
 
     Attributes:
         data: the whole FlatBuffer.
-        at: where the table begins.
+        at: offset in bytes at which the table begins.
     """
 
     data: bytes

@@ -187,7 +187,7 @@ class Chunk:
     """A leaf in a row group, as its pages say.
 
     Attributes:
-        values: in all pages; more than rows if they are in lists.
+        values: number of values in all pages; more than rows if they are in lists.
         pages, dictionary: bytes of all data pages and of the dictionary, decompressed.
         largest: bytes of the largest page, decompressed.
     """
@@ -240,7 +240,7 @@ def read_chunk(stream: IO[bytes], leaf: Leaf, metadata: dict[int, Any], rows: in
     """Go through the page headers of a leaf in a row group.
 
     Args:
-        metadata: as `Group.columns` has it.
+        metadata: metadata of the leaf in the row group, as `Group.columns` has it.
         rows: number of rows of the row group.
 
     Raises:

@@ -55,7 +55,7 @@ class LayerNorm32(nn.LayerNorm):
     Args:
         channels: length of the last axis.
         affine: learn a weight and a bias.
-        eps: added to the variance; 1e-6 in transformer and sparse residual blocks.
+        eps: number added to the variance; 1e-6 in transformer and sparse residual blocks.
     """
 
     def __init__(self, channels: int, affine: bool, eps: float = 1e-6) -> None:

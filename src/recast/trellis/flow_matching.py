@@ -141,7 +141,7 @@ class AdaptiveGradClipper:
 
     Args:
         max_norm: largest bound.
-        percentile: of the stored norms, 0 to 100.
+        percentile: percentile of the stored norms, 0 to 100.
         window: number of latest norms that count.
 
     Attributes:

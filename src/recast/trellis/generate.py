@@ -69,8 +69,8 @@ class ImageTo3D:
         """Read a folder in the published layout, with pipeline.json and ckpts/.
 
         Args:
-            device: None takes CUDA where there is some.
-            torso_dtype: of the transformer blocks; None takes float16 on CUDA, else float32.
+            device: device to run on; None takes CUDA where there is some.
+            torso_dtype: dtype of the transformer blocks; None takes float16 on CUDA, else float32.
             image_encoder: weights of the published image encoder, where the folder has none.
 
         Raises:
@@ -223,8 +223,8 @@ def generate(
     of the structure, then that of the latent, both drawn on the CPU.
 
     Args:
-        vehicles: for each the views of it, (H, W, 4) uint8 RGBA with straight alpha; the same
-            number of views for all. The order of the views matters, see `Condition`.
+        vehicles: views of each vehicle, (H, W, 4) uint8 RGBA with straight alpha; the same number
+            of views for all. The order of the views matters, see `Condition`.
         seeds: one for each vehicle.
         names: what messages call them; "crop 1", ... where not given.
         mode: how several views are used, see `Condition`.

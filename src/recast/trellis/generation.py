@@ -73,7 +73,7 @@ class Generation:
     """The vehicles of one call, and what it cost.
 
     Attributes:
-        vehicles: in the order of the request.
+        vehicles: vehicles in the order of the request.
         seconds: wall time by stage: condition, structure, latent, decode.
         peak_bytes: most memory in use: of the accelerator, or resident memory of this process.
     """
@@ -90,7 +90,7 @@ class Structure:
     Attributes:
         generator: random stream that it came from, on the CPU so that every device makes the same
             vehicle; it continues with the latent's noise.
-        latent: (C, R, R, R) as sampled.
+        latent: (C, R, R, R) latent as sampled.
         coords: (T, 3) int32 active voxels.
     """
 
@@ -116,11 +116,12 @@ def draw_structures(
     """Sample a structure for each seed; one that is empty or too large is drawn anew or refused.
 
     Args:
-        shape: of one noise, (C, R, R, R).
-        sample: from noises (B, C, R, R, R) and which vehicles they are to latents of that shape.
-        decode: from one latent to its active voxels (T, 3).
-        limits: for the number of retries.
-        max_voxels: more of them are too many.
+        shape: shape of one noise, (C, R, R, R).
+        sample: function from noises (B, C, R, R, R) and the indices of their vehicles to latents of
+            that shape.
+        decode: function from one latent to its active voxels (T, 3).
+        limits: limits, of which the number of retries is used.
+        max_voxels: largest number of active voxels allowed.
 
     Raises:
         InputError: a vehicle failed with every seed allowed.

@@ -41,7 +41,7 @@ class Condition:
 
     Attributes:
         views: (V, B, L, C) tokens of V views of every sample; B = 1 serves any number of samples.
-        mode: of several views, "stochastic" uses one view in each step, in turn from the first,
+        mode: use of several views: "stochastic" uses one view in each step, in turn from the first,
             the same for all samples; "multidiffusion" the mean of the velocities of all views.
 
     Raises:
@@ -80,9 +80,9 @@ def drop_condition(
     """Replace the tokens of random samples by zeros, so that the network learns both velocities.
 
     Args:
-        cond: (B, L, C).
-        probability: of a sample losing its tokens (published: 0.1).
-        generator: its device may differ from that of `cond`.
+        cond: (B, L, C) tokens.
+        probability: probability that a sample loses its tokens (published: 0.1).
+        generator: random generator; its device may differ from that of `cond`.
 
     Returns:
         The tokens, and which samples lost them (B,) bool.
@@ -129,7 +129,7 @@ class SamplerSettings(Record):
     """Settings of `sample`; the defaults are those of the published TRELLIS checkpoints.
 
     Attributes:
-        steps: of Euler's method.
+        steps: number of steps of Euler's method.
         cfg_strength: s of classifier-free guidance, (1 + s) v(cond) - s v(zeros); 0 is none.
         cfg_interval: first and last time t, both included, at which guidance acts (Kynkäänniemi et
             al. 2024). t is 1 for noise and 0 for data, after rescaling.
@@ -220,7 +220,7 @@ class StepRecord:
         guided: whether guidance acted.
         views: indices of the views used.
         before, after: x at `t` and at `t_next`, of the shape of the noise.
-        velocity: of the step, guidance included.
+        velocity: velocity of the step, guidance included.
     """
 
     step: int
@@ -250,7 +250,7 @@ def sample(
     for s = 0, v = v(cond) and the network runs once per view.
 
     Args:
-        noise: standard normal, (B, ...) dense or (T, C) sparse. Left as it is.
+        noise: standard normal noise, (B, ...) dense or (T, C) sparse. Left as it is.
         samples: number B of samples; needed for sparse noise, whose rows are not samples.
         on_step: called after each step. Tensors of the record that it keeps stay in memory.
 

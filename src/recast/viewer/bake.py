@@ -60,7 +60,7 @@ def baked(gaussians: Gaussians, eyes: Tensor) -> Splats:
     Standard deviations above `LARGEST_SIGMA` are cut to it.
 
     Args:
-        gaussians: in any frame.
+        gaussians: Gaussians in any frame.
         eyes: (E, 3) places of cameras in the same frame; none: along x.
     """
     with torch.no_grad():
@@ -141,7 +141,7 @@ def sky_dome(
 
     Args:
         middle: (3,) centre of the sphere, metres.
-        radius: metres.
+        radius: radius of the sphere, metres.
         count: number of discs, evenly spread.
     """
     index = np.arange(count)

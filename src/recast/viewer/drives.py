@@ -102,8 +102,8 @@ def rollout_drive(
     """A rollout with its plans and the moments that matter.
 
     Args:
-        log: what it was run on.
-        hdmap: of the log, for where the ego leaves the road; or None.
+        log: log that it was run on.
+        hdmap: map of the log, for where the ego leaves the road; or None.
         mounts: cameras on the rig.
         films: what was rendered, by name of the camera.
     """

@@ -63,12 +63,12 @@ class Drive:
         poses: `world_from_actor` (T, 4, 4) by track id; NaN where the track is absent.
         sizes: (3,) length, width, height by track id, metres.
         controlled: ids of the tracks that a motion controls, the target first.
-        ego_size: (3,) of the ego's box, metres.
+        ego_size: (3,) size of the ego's box, metres.
         ego_offset: metres from the rig's origin forward to the centre of the ego's box.
         logged: (T, 3) where the ego was in the log; None if that is `rig`.
         plans: (step, waypoints (P, 3) in the world) of each plan, in order.
         events: moments to go to, in order.
-        cameras: by name.
+        cameras: cameras by name.
     """
 
     dt: float
@@ -100,10 +100,11 @@ class Runner:
     Attributes:
         hdmap: lanes, drivable area and ground.
         track: the actor to control.
-        motions: to choose from, by name.
-        planners: to choose from; the first is the default.
-        steps: of 0.1 s, at most.
-        run: runs a motion with a planner in an arm, and gives the drive; reports its steps.
+        motions: motions to choose from, by name.
+        planners: names of the planners to choose from; the first is the default.
+        steps: largest number of steps of 0.1 s.
+        run: function that runs a motion with a planner in an arm, and gives the drive; reports its
+            steps.
     """
 
     log: DrivingLog
@@ -120,7 +121,7 @@ class ViewInputs:
     """Everything that the viewer shows.
 
     Attributes:
-        title: of the page.
+        title: title of the page.
         scenes: the street of each arm with its actors in it; None for an arm without Gaussians.
         scenarios: drives by scenario and arm.
         log: the recorded drive, for images, LiDAR and evidence; None if there is none.

@@ -43,7 +43,7 @@ class Page:
         port: TCP port; the next free one is taken if it is in use.
 
     Attributes:
-        pruned: how many Gaussians of the first arm are shown, in words.
+        pruned: number of Gaussians of the first arm that are shown, in words.
 
     Raises:
         InputError: viser is not installed, or the address is none of this machine.

@@ -111,7 +111,7 @@ class Browser:
 
     Attributes:
         world_from_camera: (4, 4), OpenCV axes.
-        fov: vertical, radians.
+        fov: vertical field of view, radians.
         aspect: width over height.
     """
 
@@ -131,7 +131,7 @@ class ExactView:
     """Draws scenes by arm; one picture at a time, as the rasterizer uses all cores.
 
     Args:
-        scenes: by arm; None for arms without Gaussians.
+        scenes: scenes by arm; None for arms without Gaussians.
     """
 
     def __init__(self, scenes: Mapping[str, StreetScene | None]) -> None:
@@ -169,7 +169,7 @@ class ExactPanel:
     """A checkbox, and a thread that draws; close it.
 
     Args:
-        server: gets the checkbox, within the container that is open.
+        server: server that gets the checkbox, within the container that is open.
         playback: what is shown; nothing is drawn while it plays.
     """
 

@@ -30,8 +30,8 @@ class Look:
     """A level camera.
 
     Attributes:
-        eye, target: (3,) in the world, metres.
-        fov: vertical, radians.
+        eye, target: (3,) points in the world, metres.
+        fov: vertical field of view, radians.
     """
 
     eye: Array
@@ -108,8 +108,8 @@ class PlayPanel:
     """Scenario, arm, timeline, events and cameras.
 
     Args:
-        server: gets the elements, within the container that is open.
-        playback: is steered.
+        server: server that gets the elements, within the container that is open.
+        playback: playback that the panel steers.
     """
 
     def __init__(self, server: viser.ViserServer, playback: Playback) -> None:

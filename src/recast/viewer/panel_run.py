@@ -57,9 +57,9 @@ class RunPanel:
     """A form for a motion, with its path and start in the scene.
 
     Args:
-        server: gets the elements, within the container that is open.
-        playback: gets the rollouts.
-        runner: prepares and runs them.
+        server: server that gets the elements, within the container that is open.
+        playback: playback that gets the rollouts.
+        runner: runner that prepares and runs them.
         out: folder for scenario files.
     """
 
@@ -235,7 +235,7 @@ def changed(
     """What the target does, under another name and with other numbers; without further actors.
 
     Args:
-        values: by quantity; None leaves an optional one out.
+        values: numbers by quantity; None leaves an optional one out.
 
     Raises:
         InputError: a name or number that no scenario file may have.
@@ -283,7 +283,7 @@ def save_scenario(motion: ScriptedMotion, folder: Path) -> Path:
     """Write a scenario file for `recast run --motion`, and return its path.
 
     Args:
-        folder: gets the file, whose name is made from the motion's and leads nowhere else.
+        folder: folder of the file, whose name is made from the motion's and leads nowhere else.
 
     Raises:
         InputError: the motion is none that a file can describe, the file exists, or the disk

@@ -92,8 +92,8 @@ class TrackPanel:
     """Evidence and crops of the track that was clicked at.
 
     Args:
-        server: gets the elements, within the container that is open.
-        playback: knows the log and the arm.
+        server: server that gets the elements, within the container that is open.
+        playback: playback that knows the log and the arm.
     """
 
     def __init__(self, server: viser.ViserServer, playback: Playback) -> None:

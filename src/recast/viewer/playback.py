@@ -23,7 +23,7 @@ class Playback:
     Attributes:
         speed: seconds of the drive in a second.
         playing: whether time goes on.
-        seconds: where it stands, within [0, steps * dt) of the drive that is shown.
+        seconds: present time in the drive that is shown, within [0, steps * dt).
     """
 
     def __init__(self, inputs: ViewInputs) -> None:

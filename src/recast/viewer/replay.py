@@ -27,8 +27,9 @@ class ReplaySize:
     """What a replay came to.
 
     Attributes:
-        bytes: of the file.
-        kept, total: numbers of Gaussians in it, and that there were.
+        bytes: size of the file in bytes.
+        kept: number of Gaussians in the file.
+        total: number of Gaussians that there were.
     """
 
     bytes: int
@@ -53,9 +54,9 @@ def write_replay(
 
     Args:
         path: file to write; one that is there is replaced.
-        scenario: which one; None for the first.
-        most_mb: size of the file at most, in 1e6 bytes.
-        most: number of Gaussians at most.
+        scenario: name of the scenario; None for the first.
+        most_mb: largest size of the file, in 1e6 bytes.
+        most: largest number of Gaussians.
 
     Raises:
         InputError: viser is not installed, there is no such scenario, the file would be too large

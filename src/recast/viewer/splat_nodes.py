@@ -50,11 +50,12 @@ class SplatNodes:
     """Backgrounds, skies and actors, arm by arm.
 
     Args:
-        server: gets the nodes, all of them invisible.
+        server: server that gets the nodes, all of them invisible.
         most: number of Gaussians at most, without the sky, of the arms of one `add`.
 
     Attributes:
-        total, kept: numbers of Gaussians that there are in the arms so far, and that were sent.
+        total: number of Gaussians that there are in the arms so far.
+        kept: number of Gaussians that were sent.
     """
 
     def __init__(self, server: viser.ViserServer, inputs: ViewInputs, most: int) -> None:
@@ -98,7 +99,7 @@ class SplatNodes:
 
         Args:
             splats, sky, coverage: what is shown; coverage: actors in its colours.
-            poses: of the actors that are present.
+            poses: poses of the actors that are present.
         """
         found: dict[str, Array | None] = {}
         background, dome = self._streets.get(arm, ("", ""))

@@ -51,9 +51,9 @@ class Stage:
 
     Args:
         most: number of Gaussians of an arm at most.
-        arms: those that are sent at once; the others when they are first shown, or by `splats.add`.
+        arms: arms that are sent at once; the others when they are first shown, or by `splats.add`.
         layers: names of `LAYERS` that are on; None for those that suit the inputs.
-        on_click: called with the track id when somebody clicks at its box.
+        on_click: function that is called with the track id when somebody clicks at its box.
     """
 
     def __init__(

@@ -104,7 +104,7 @@ class WeightsRecord(Record):
     """weights.json; the same on every machine, whichever mirror the bytes came from.
 
     Attributes:
-        name: in the table.
+        name: name in the table.
         revisions: repository on Hugging Face to the commit that was fetched.
         fetched: what came over the network, by its address at the publisher.
         converter: code that made `files` of it; empty if they are the same.

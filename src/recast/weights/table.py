@@ -40,10 +40,10 @@ class Source:
     Attributes:
         where: "owner/name" of a repository on Hugging Face, or the address of a web folder.
         files: names below it; in a repository also patterns with `*`.
-        licence: of these files.
+        licence: licence of these files.
         revision: commit of the repository, 40 hexadecimal digits; None takes the main branch at the
             first `get` and keeps its commit in the record.
-        sha256: of single files, by name.
+        sha256: SHA-256 of single files, by name.
         into: subfolder of the weights' folder.
     """
 
@@ -68,7 +68,7 @@ class Source:
         """Where the publisher has a file, whichever mirror it is fetched from.
 
         Args:
-            commit: of a repository.
+            commit: commit, for a repository.
         """
         folder = f"{HUB}/{self.where}/resolve/{commit}" if self.repository else self.where
         return f"{folder}/{quote(file, safe='/+')}"
@@ -83,7 +83,7 @@ class Weights:
         options: command-line options that take the name.
         part: kind of exchangeable part that it names, see `recast.core.plugins.Registry`; or empty.
         gigabytes: size of the download, rounded.
-        sources: where the files lie.
+        sources: places where the files lie.
         opens: file or subfolder that stands for the name; the whole folder where empty.
         converter: "module:function" that is called with the folder after the download and writes
             what recast's reader takes.

@@ -33,10 +33,10 @@ class RemoteFile(Record):
     """A file at its publisher.
 
     Attributes:
-        address: at the publisher, not at a mirror.
-        path: below the weights' folder.
-        size: bytes; None if the server does not say.
-        sha256: of the bytes, by the table or the hub; None if neither says.
+        address: address at the publisher, not at a mirror.
+        path: path below the weights' folder.
+        size: number of bytes; None if the server does not say.
+        sha256: SHA-256 of the bytes, by the table or the hub; None if neither says.
         blob: git's hash of a small file of a repository.
     """
 

@@ -62,7 +62,7 @@ def sample(parts: Sequence[Triangles], step: float) -> tuple[Samples, float]:
     """Points `step` apart, and the step taken: a longer one if there were too many points.
 
     Args:
-        parts: at least one triangle.
+        parts: parts of the mesh, at least one triangle in all.
         step: edge of the lattice's squares, in the unit of the corners.
     """
     area = height = 0.0
@@ -194,7 +194,7 @@ class Outside:
     """The visible surface of a vehicle.
 
     Attributes:
-        samples: with normals towards where they are seen from.
+        samples: samples with normals towards where they are seen from.
         closed: (N,) whether the sample is opaque and has the vehicle's inside behind it: no view
             from outside shows its back, as of a mirror or a spoiler.
     """

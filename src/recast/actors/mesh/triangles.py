@@ -101,7 +101,7 @@ def named_file(path: Path, name: str, what: str) -> Path:
 
     Args:
         path: the mesh file.
-        name: as it stands there; OBJ from Windows has backslashes.
+        name: file name as it stands in the mesh file; OBJ from Windows has backslashes.
         what: member of the mesh file, for messages.
 
     Raises:

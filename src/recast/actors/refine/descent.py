@@ -66,7 +66,7 @@ def view_loss(
     """Compare a vehicle with one image; differentiable in all but the layers.
 
     Args:
-        gaussians: actor frame.
+        gaussians: Gaussians in the actor frame.
         low_pass: the filter that they are drawn through.
         offset: (4, 4) correction of the vehicle's pose, in its own frame.
     """
@@ -115,8 +115,8 @@ class Task:
         held: images that judge.
         low_pass: the filter of the Gaussians.
         symmetric: whether images teach the other side, too.
-        seed: of the order of images and of the mirrored steps.
-        steps: how many.
+        seed: seed of the order of images and of the mirrored steps.
+        steps: numbers of steps.
     """
 
     views: Sequence[Layers]
@@ -198,13 +198,13 @@ class FreeDescent:
     """The descent of every Gaussian, which may be left and taken up again.
 
     Args:
-        free: what is changed.
-        poses: corrected on.
+        free: Gaussians that the descent changes.
+        poses: pose corrections of the track, which the descent goes on with.
         seen: (N,) in [0, 1], how much of each Gaussian images of its own side show: those of the
             other side leave it as it is.
 
     Attributes:
-        index: steps done.
+        index: number of steps done.
         best, best_loss: the Gaussians with the least loss on the held-back images, and that loss.
     """
 

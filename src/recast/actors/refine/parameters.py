@@ -33,7 +33,7 @@ class Bend:
     """p -> rotate_z(turn) (exp(grow) p + offsets(p)) + move, offsets from a coarse lattice.
 
     Args:
-        size: (3,) of the box, metres.
+        size: (3,) size of the box, metres.
 
     Attributes:
         move: (3,) metres. turn: (1,) radians. grow: (3,) logarithms.
@@ -95,7 +95,7 @@ class PoseOffsets:
     have in common is the vehicle's place in its box.
 
     Args:
-        times: (T,) int64 of the sightings, microseconds.
+        times: (T,) int64 times of the sightings, microseconds.
     """
 
     def __init__(self, times: NDArray[np.int64]) -> None:
@@ -135,7 +135,8 @@ class FreeGaussians:
     """prior + freedom x change, field by field: Adam's steps shrink with the freedom.
 
     Args:
-        prior: actor frame; harmonics of any degree become at least those of degree 1.
+        prior: Gaussians in the actor frame; harmonics of any degree become at least those of degree
+            1.
         freedom: (N,) in [0, 1].
 
     Attributes:

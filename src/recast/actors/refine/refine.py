@@ -58,11 +58,11 @@ def refine(
     """The actor with all that the evidence says of it; never worse than before by its judges.
 
     Args:
-        actor: registered, not refined.
-        evidence: of its track, with the poses of `scene`.
+        actor: registered actor, not refined yet.
+        evidence: evidence of the actor's track, with the poses of `scene`.
         scene: street that the vehicle stands in; its own model of the track is not looked at.
-        seed: of the order of images.
-        steps: how many; those of `Steps` if None.
+        seed: seed of the order of images.
+        steps: numbers of steps; those of `Steps` if None.
         checkpoint: file to go on from after a kill, and to be removed by whoever keeps the result;
             one of another task is written anew.
         progress: called with the number of steps done, and of all.

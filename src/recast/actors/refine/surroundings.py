@@ -79,7 +79,7 @@ def make_layers(scene: StreetScene, evidence: Evidence, shadow: Gaussians) -> li
     """The layers of every sighting, from a scene that may hold a model of the track or not.
 
     Args:
-        shadow: of the vehicle, actor frame; it lies behind the vehicle.
+        shadow: shadow of the vehicle, actor frame; it lies behind the vehicle.
     """
     return [_layers(scene, evidence, sighting, shadow) for sighting in evidence.sightings]
 
@@ -216,7 +216,7 @@ def road_pixels(view: Layers, size: Array, floor: float) -> RoadPixels | None:
     """The road pixels of one image; None if there are only a few.
 
     Args:
-        size: (3,) of the vehicle's box, metres.
+        size: (3,) size of the vehicle's box, metres.
         floor: height of the ground in the actor frame.
     """
     sighting = view.sighting

@@ -49,8 +49,8 @@ class Visibility:
     """What images show of N Gaussians, in pixels of the patch of surface around each.
 
     Attributes:
-        own: (N,) float32 over all images, weighted as they are.
-        twin: (N,) of the mirrored vehicle.
+        own: (N,) float32 sum over all images, weighted as they are.
+        twin: (N,) the same sum of the mirrored vehicle.
         shown: (N,) bool, which Gaussians themselves are in a picture, or mirrored in one.
     """
 
@@ -84,7 +84,7 @@ def pixel_weights(
     """(N,) sum over pixels of transmittance times alpha of each Gaussian, weighted by `pixels`.
 
     Args:
-        gaussians: actor frame.
+        gaussians: Gaussians in the actor frame.
         pixels: (H, W) weights.
     """
     # One constant colour of its own a Gaussian, far from the clamp at zero.
@@ -151,9 +151,10 @@ def follow_paint(prior: Gaussians, refined: Gaussians, shares: Shares) -> Gaussi
     """The refined Gaussians, the invented ones with the correction of those that look alike.
 
     Args:
-        prior: as the generator made them, row by row those of `refined`.
-        refined: actor frame.
-        shares: where each comes from; the invented share of the correction is taken over.
+        prior: Gaussians as the generator made them, row by row those of `refined`.
+        refined: refined Gaussians, actor frame.
+        shares: shares that tell where each Gaussian comes from; the invented share of the
+            correction is taken over.
     """
     known = (shares.seen + shares.mirrored).numpy()
     lenders = np.flatnonzero(known > _KNOWN)

@@ -195,8 +195,8 @@ def road_level(observation: Observation, gains: Sequence[float] = ()) -> float:
     """Level of the light by the brightness of the road around the vehicle, 1 on a clear day.
 
     Args:
-        observation: with its further views.
-        gains: on the linear light of each view, 1 if none are given.
+        observation: observation with its further views.
+        gains: gains on the linear light of each view, 1 if none are given.
     """
     gains = gains or [1.0] * len(observation.views)
     levels = [_road(view) * gain for view, gain in zip(observation.views, gains, strict=True)]

@@ -175,10 +175,11 @@ class ShapeFit:
 
     Attributes:
         style: name in `STYLES`.
-        proportions: bent to the points.
+        proportions: proportions of the style, bent to the points.
         offset: (2,) forward, left shift of the vehicle from the box, metres.
         scale: size of the vehicle over that of its box.
-        median_distance: of the points used to the fitted surface, metres; nan without points.
+        median_distance: median distance of the points used to the fitted surface, metres; nan
+            without points.
         costs: style to cost, for the record.
     """
 
@@ -208,7 +209,7 @@ def fit_shape(
         category, size: see `candidate_styles`; the size (3,) is that of the logged box, metres.
         points: (N, 3) LiDAR points in the box frame, origin at its centre.
         style: take this one instead of choosing.
-        contours: of the masks, see `contour`.
+        contours: contours of the masks, see `contour`.
     """
     priors = candidate_styles(category, size) if style is None else {style: 0.0}
     cloud = np.asarray(points, np.float64) + np.array([0.0, 0.0, size[2] / 2])

@@ -33,7 +33,7 @@ class SurfaceView:
         weight: (N,) 0 unseen to 1 seen squarely and well inside the mask.
         views: (N, 3) unit directions from the patch to the camera, vehicle frame.
         sharpness: (N,) pixels a metre on the patch, foreshortened.
-        gain: that `colour` was given, on linear light.
+        gain: gain that `colour` was given, on linear light.
     """
 
     colour: Array
@@ -51,7 +51,7 @@ def view_surface(
     Args:
         cloud: the vehicle, z up from the ground.
         observation: crop, camera and mask.
-        placement: of the vehicle in the logged box.
+        placement: placement of the vehicle in the logged box.
     """
     placed = placement.points(cloud.points)
     normals = placement.normals(cloud.normals)

@@ -36,7 +36,7 @@ class SceneScore:
     Attributes:
         score: 0 to 1; `reason` says what took it to 0, or the progress below 80 %.
         progress: share of the recorded path's length at the last step that counts.
-        last_step: that step.
+        last_step: the last step that counts.
         contact, at_fault, off_road: (S+1,) the ego touches an actor; does so at fault; is off the
             road.
         distance: (S+1,) metres from the ego's box centre to the recorded path.

@@ -37,7 +37,7 @@ class DrivenEpdms:
     """EPDMS of the plans of a rollout.
 
     Attributes:
-        mean: over the plans; no value where PDM-Closed cannot plan or steps are not 0.1 s.
+        mean: mean over the plans; no value where PDM-Closed cannot plan or steps are not 0.1 s.
         per_plan: (C,) EPDMS; of 14 where a plan has none to be compared with, else of 16.
         scores: sub-metrics (C,).
         extended_comfort: (C,) EC of each plan and the one before, of the first one and the second;

@@ -35,11 +35,11 @@ class Situation:
     """What a plan is judged in.
 
     Attributes:
-        state: (11,) of the ego now.
+        state: (11,) state of the ego now.
         planner_map, route: the map, and the ids of the route's blocks in order.
         obstacles: n road users and objects now.
-        traffic: where they go, which may depend on what the ego does.
-        red: by id of a connector, (41,) whether its light is red.
+        traffic: motion of the road users and objects, which may depend on what the ego does.
+        red: state of the lights by id of a connector, (41,) whether its light is red.
         history: (H, 11) states before now, 0.1 s apart; None for none, which makes HC 1.
     """
 
@@ -59,7 +59,7 @@ class PlanScore:
 
     Attributes:
         scores: its sub-metrics, () each; EC needs a second plan.
-        states: (41, 11) that result from following it.
+        states: (41, 11) states of the ego that result from following the plan.
     """
 
     scores: ExtendedScores

@@ -39,7 +39,7 @@ class _Agent:
     """A vehicle on its lane.
 
     Attributes:
-        path: along its lane and those that follow straightest.
+        path: path along its lane and the lanes that follow straightest.
         ends, limits: progress at which each lane ends, and its target speed.
         lanes: how many of them it has taken up so far.
         state: progress of its centre and speed.

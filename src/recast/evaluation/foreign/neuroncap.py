@@ -90,7 +90,7 @@ def neuroncap_mean(scores: Mapping[str, Mapping[str, Sequence[float]]]) -> float
     """NeuroNCAP's average: over the runs of a sequence, then over sequences, then categories.
 
     Args:
-        scores: by category and sequence, of each run; none empty.
+        scores: scores of each run, by category and sequence; none empty.
     """
     return float(np.mean([np.mean([np.mean(r) for r in one.values()]) for one in scores.values()]))
 

@@ -25,7 +25,7 @@ class Scene:
 
     Attributes:
         token: its id.
-        synthetic: whether it belongs to the second stage.
+        synthetic: whether the scene belongs to the second stage.
         start_s: seconds at which the plan begins, on the log's clock.
         situation: what the plan is judged in.
         human: (N, 3) what the human drove, as `score_plan`'s waypoints at 0.1 s; None for none. It
@@ -44,7 +44,7 @@ class TokenScore:
     """What the plan of one token scored.
 
     Attributes:
-        token, synthetic, start_s: as in `Scene`.
+        token, synthetic, start_s: the scene's fields of the same names, see `Scene`.
         start, endpoint: (2,) world x, y of the rear axle now, and where the plan itself ends.
         plan: its scores, filtered; None if there is no valid plan.
         reason: why there is none.
@@ -63,7 +63,8 @@ def score_scene(scene: Scene, waypoints: ArrayLike | None, interval: float = 0.5
     """Score the plan submitted for a scene; one that cannot be scored is failed, not an error.
 
     Args:
-        waypoints, interval: as for `score_plan`; None where nothing was submitted.
+        waypoints: waypoints of the plan, as for `score_plan`; None where nothing was submitted.
+        interval: seconds between waypoints, as for `score_plan`.
     """
     start = scene.situation.state[:2]
     failed = TokenScore(

@@ -58,8 +58,8 @@ class TwoStage:
     """The table.
 
     Attributes:
-        rows: by token, values of `COLUMNS`; NaN for failed ones.
-        synthetic: by token.
+        rows: rows by token, values of `COLUMNS`; NaN for failed tokens.
+        synthetic: whether the scene belongs to the second stage, by token.
         stage_one, stage_two: means of `COLUMNS` over both groups of all mappings.
         combined: EPDMS: mean over mappings of the mean of both groups' products.
         valid: whether all mappings could be scored; those with a failed token are left out.
@@ -80,7 +80,7 @@ def second_stage_weights(endpoint: ArrayLike, starts: ArrayLike) -> Array:
 
     Args:
         endpoint: (2,) end of the first stage's plan.
-        starts: (n, 2).
+        starts: (n, 2) start positions of the synthetic scenes.
     """
     offset = np.asarray(starts, np.float64) - np.asarray(endpoint, np.float64)
     weights = np.exp(-(offset**2).sum(axis=-1) / (2 * _VARIANCE))

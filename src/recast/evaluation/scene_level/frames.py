@@ -64,7 +64,7 @@ class FrameRule:
         """The box's rectangle in whole pixels, clipped to the image; None if it does not count.
 
         Args:
-            size: (3,) of the logged box, metres.
+            size: (3,) lengths of the logged box's sides, metres.
             camera_from_actor: (4, 4).
             camera: intrinsics of the image as it is rendered.
         """
@@ -81,7 +81,7 @@ class RolloutFrame:
     """An image of a rollout that counts.
 
     Attributes:
-        motion, setting, step: of the rollout.
+        motion, setting, step: motion and setting of the rollout, and the step in it.
         rectangle: left, top, right, bottom of the logged box at the simulated pose, pixels.
     """
 
@@ -99,7 +99,7 @@ class LoggedFrame:
     Attributes:
         frame: number of the image in its stream.
         timestamp_us: log time.
-        rectangle: as in `RolloutFrame`, of the logged box at its logged pose.
+        rectangle: left, top, right, bottom of the logged box at its logged pose, pixels.
         azimuth: radians, of the camera seen from the vehicle; 0 is ahead of it.
     """
 
@@ -178,9 +178,9 @@ class FramesRecord(Record):
     """frames.json.
 
     Attributes:
-        frames: in the order of motions, steps and cameras.
+        frames: frames in the order of motions, steps and cameras.
         shown: indices of the frames that stand in the figure.
-        failures: motion with its setting to the reason why it was not driven.
+        failures: reason why a motion was not driven, by motion with its setting.
     """
 
     version: Literal[1] = _VERSION

@@ -127,7 +127,7 @@ class Networks:
         """Features of images, see `recast.evaluation.scene_level.scores`.
 
         Args:
-            images: in order; None for one that could not be rendered.
+            images: images in order; None for one that could not be rendered.
             compared: the scene's reference images, for LPIPS; none gives NaN.
         """
         drawn: list[bool] = []
@@ -235,8 +235,8 @@ def clip_image_score(crops: Array, references: Array) -> tuple[Array, Array]:
     """Mean (N,) and maximum (N,) over references of 100 times the cosine.
 
     Args:
-        crops: (N, D), of unit length.
-        references: (R, D) of one scene, at least one.
+        crops: (N, D) embeddings of crops, of unit length.
+        references: (R, D) embeddings of one scene's references, at least one.
     """
     cosines = 100.0 * (crops @ references.T)
     return cosines.mean(axis=1), cosines.max(axis=1)
@@ -247,7 +247,7 @@ class ScoreColumn:
     """A column of the table.
 
     Attributes:
-        digits: after the point.
+        digits: number of digits after the point.
         features: name of the features of a Frechet distance; None for a mean of image scores.
     """
 
@@ -279,8 +279,8 @@ def image_scores(features: Features, references: Features, compared: Array) -> d
     """Scores (N,) of the images of an arm in a scene, by column; those there are networks for.
 
     Args:
-        features: of the arm's images.
-        references: of the scene's logged images.
+        features: features of the arm's images.
+        references: features of the scene's logged images.
         compared: (K,) indices of the references that crops are compared with.
     """
     found: dict[str, Array] = {}

@@ -66,7 +66,7 @@ class Value:
     """A number of the table.
 
     Attributes:
-        value: over all images.
+        value: value over all images.
         low, high: interval of 95 % over scenes.
         scene_mean: mean of the scenes' means; None for a Frechet distance.
         difference: difference from the first arm with its interval; None for the first arm, and for
@@ -85,8 +85,8 @@ class LevelRow:
     """A line of the table.
 
     Attributes:
-        images: how many.
-        values: by column.
+        images: number of images.
+        values: values by column.
     """
 
     arm: str
@@ -104,7 +104,7 @@ def summarise(
     """A line for each arm, in order, then one of the control.
 
     Args:
-        scenes: that count, by name; all have the same arms, the first is the baseline.
+        scenes: scenes that count, by name; all have the same arms, the first is the baseline.
         control: name of the line of `MeasuredScene.replay`.
         samples, frechet_samples: numbers of bootstrap samples of means and of Frechet distances.
 

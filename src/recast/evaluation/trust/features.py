@@ -66,13 +66,13 @@ class TrustFeatures:
     """The features of one rollout, and the steps that its verdict rests on.
 
     Attributes:
-        values: by name; a feature that is not known is not there.
-        missing: why, by name, in words.
+        values: values of the features, by name; a feature that is not known is not there.
+        missing: reasons why features are not known, by name, in words.
         changed: plan step at which the plan changed most, the plan that mattered.
         closest: step of the first contact, or of the smallest gap without one.
         view: how the camera that shows it largest shows the vehicle at `changed`; None if no
             camera shows it.
-        coverage: of the planner's images at `changed`; None if the vehicle has no shares.
+        coverage: coverage of the planner's images at `changed`; None if the vehicle has no shares.
     """
 
     values: Mapping[str, float]
@@ -96,9 +96,9 @@ def trust_features(
     Only plans before the first contact count: what comes later has no part in the verdict.
 
     Args:
-        recorded: of the rollout's log and target.
-        cameras: that the planner is given; at least one.
-        coverage: of its images; None for a vehicle without shares.
+        recorded: recorded views of the rollout's log and target.
+        cameras: cameras that the planner is given; at least one.
+        coverage: coverage of the rollout's images; None for a vehicle without shares.
         frames: held-out scores of the street; empty if no image was held out.
         disturbed: the same scenario, planner and arm under other noise; empty if it was not driven
             so.

@@ -22,7 +22,7 @@ class RolloutTrust:
         value: the chance that the true world gives the same verdict, 0 to 1.
         words: the same for people, with reasons and steps.
         steps: what happens at the steps that carry the verdict, by step, in order.
-        features: None for a planner that looks at no images.
+        features: features of the rollout; None for a planner that looks at no images.
         provisional: whether the calibration comes from few scenes.
     """
 

@@ -28,7 +28,8 @@ class TrustModel:
     """Coefficients (F,) of standardised features, and how these are standardised.
 
     Attributes:
-        means, scales: (F,) of the features in the data, after the logarithm of those that have one.
+        means, scales: (F,) means and scales of the features in the data, after the logarithm of
+            those that have one.
     """
 
     intercept: float
@@ -59,8 +60,8 @@ def fit_model(
     features. Each coefficient has the sign of its feature, or is zero.
 
     Args:
-        features: of N rollouts, by name; one that is missing counts as the mean of the others.
-        agrees: (N,) bool.
+        features: features of N rollouts, by name; a missing one counts as the mean of the others.
+        agrees: (N,) bool, whether each verdict is right.
 
     Raises:
         ValueError: no rollout.

@@ -21,8 +21,8 @@ class JudgedRollout:
 
     Attributes:
         scene: its id; rollouts of one scene are alike.
-        planner, arm: as in `Rollout`.
-        features: by name, see `recast.evaluation.trust.FEATURES`.
+        planner, arm: the rollout's fields of the same names, see `Rollout`.
+        features: features by name, see `recast.evaluation.trust.FEATURES`.
         agrees: whether its verdict is that of the truth.
     """
 
@@ -75,8 +75,8 @@ def area_under_roc(trust: ArrayLike, agrees: ArrayLike) -> float | None:
     """Area under the ROC curve of N rollouts, equal ones counted half; see `Reliability.auc`.
 
     Args:
-        trust: (N,) 0 to 1.
-        agrees: (N,) bool.
+        trust: (N,) trust in each rollout, 0 to 1.
+        agrees: (N,) bool, whether each verdict is right.
     """
     given, right = np.asarray(trust, np.float64), np.asarray(agrees, np.bool_)
     good, bad = given[right], np.sort(given[~right])

@@ -21,8 +21,8 @@ class GivenCamera:
     """A camera that a planner looks through, or that of the log at whose place it looks.
 
     Attributes:
-        name: of the log's camera.
-        width: of the images that the planner is given, pixels.
+        name: name of the log's camera.
+        width: width of the images that the planner is given, pixels.
     """
 
     name: str
@@ -79,7 +79,7 @@ class RecordedViews:
         over cameras. NaN if the log has no image of any of them.
 
         Args:
-            steps: (M,) int64.
+            steps: (M,) int64 steps of the rollout.
         """
         found = []
         for camera in cameras:
@@ -107,7 +107,7 @@ class RecordedViews:
         Each camera has its own frames; one without any takes those of all. None without frames.
 
         Args:
-            steps: (M,) int64.
+            steps: (M,) int64 steps of the rollout.
         """
         if not frames:
             return None

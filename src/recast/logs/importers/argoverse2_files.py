@@ -163,7 +163,7 @@ class Calibration:
 
     Attributes:
         cameras: intrinsics of the (undistorted) images.
-        ego_from_sensor: (4, 4) of cameras (OpenCV axes) and LiDARs.
+        ego_from_sensor: (4, 4) poses of cameras (OpenCV axes) and LiDARs.
     """
 
     cameras: dict[str, PinholeCamera]

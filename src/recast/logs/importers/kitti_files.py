@@ -160,7 +160,7 @@ class KittiCalibration:
         rig_from_imu, rig_from_velodyne, rig_from_rectified: (4, 4); "rectified" is the rectified
             frame of camera 0, in which tracking labels are given.
         cameras: intrinsics of the rectified images by name ("image_02").
-        rig_from_camera: (4, 4) by name.
+        rig_from_camera: (4, 4) camera poses by name.
     """
 
     rig_from_imu: Array

@@ -158,7 +158,8 @@ def firing_times(
 
     Args:
         points: metres, velodyne frame, not compensated.
-        trigger_us, start_us, end_us: of the turn, or (N,) of each point's turn.
+        trigger_us, start_us, end_us: trigger, start and end time of the turn, or (N,) times of each
+            point's turn.
     """
     turn = np.asarray(end_us - start_us, np.float64)
     azimuth = np.arctan2(points[:, 1], points[:, 0]).astype(np.float64)

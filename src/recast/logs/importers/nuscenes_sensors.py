@@ -40,7 +40,7 @@ class Sensor:
 
     Attributes:
         kind: "camera" or "lidar".
-        frames: in the order of time.
+        frames: frames in the order of time.
     """
 
     name: str

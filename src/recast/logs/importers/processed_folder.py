@@ -115,10 +115,10 @@ class CameraFolder:
     """One camera of a processed scene.
 
     Attributes:
-        number: in file names.
-        images: by frame, in order.
+        number: number of the camera in file names.
+        images: image files by frame, in order.
         camera: intrinsics with the lens distortion of Waymo's images, which are as recorded.
-        extrinsic: (4, 4) as written in its file: to the vehicle.
+        extrinsic: (4, 4) transform from the camera to the vehicle, as written in its file.
     """
 
     number: int

@@ -81,7 +81,7 @@ def log_of(scene: Any, folder: Path, cameras: Sequence[str] = ()) -> DrivingLog:
 
     Args:
         scene: a `py123d.api.SceneAPI`.
-        folder: for messages.
+        folder: folder that messages name.
         cameras: names of the cameras to keep; all if empty.
 
     Raises:
@@ -168,7 +168,7 @@ def read_map(api: Any, folder: Path, ego: Array, offset: Array) -> HdMap | None:
 
     Args:
         api: a `py123d.api.MapAPI`, or None.
-        folder: for messages.
+        folder: folder that messages name.
         ego: (T, 3) places of the ego in the world.
         offset: (3,) py123d's global coordinates = world coordinates + this.
 

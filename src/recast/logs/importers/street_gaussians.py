@@ -83,7 +83,7 @@ class BoxRow:
     Attributes:
         where: the line, for messages.
         frame: number of the frame.
-        track: as written.
+        track: track number, as written.
         kind: class in lower case, whatever it is.
         size: (3,) length, width, height in metres, not checked.
         centre: (3,) metres, vehicle frame at the frame's time.

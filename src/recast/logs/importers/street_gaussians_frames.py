@@ -53,7 +53,7 @@ class Drive:
         world_from_rig: ego trajectory through the poses of all images.
         offset: (3,) global coordinates = world coordinates + offset.
         frame_times: microseconds by frame: when its boxes and points hold.
-        world_from_frame: (4, 4) by frame, the vehicle's pose that these are given in.
+        world_from_frame: (4, 4) vehicle pose by frame; boxes and points are given in it.
         image_times: microseconds by camera number, then by frame.
     """
 

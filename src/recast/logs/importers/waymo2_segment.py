@@ -247,7 +247,7 @@ class MatrixCell:
     """A range image in two cells, FIELD.values and FIELD.shape; `StoredMatrix`.
 
     Attributes:
-        shape: as its cell has it.
+        shape: shape of the range image, as its cell has it.
     """
 
     reader: RowReader

@@ -50,9 +50,9 @@ class Row:
     """A row of a table; its values are checked when asked for, and raise FieldError.
 
     Attributes:
-        table: that has it.
-        index: counted from 0.
-        values: by column.
+        table: table that has the row.
+        index: index of the row, counted from 0.
+        values: values by column.
     """
 
     table: Table
@@ -119,7 +119,7 @@ class Table:
 
     Attributes:
         path: its file, named after the segment.
-        component: as in the names of its columns.
+        component: name of the component, as in the names of its columns.
     """
 
     path: Path

@@ -82,7 +82,7 @@ class CameraCalibration:
 
     Attributes:
         camera: intrinsics, with the lens distortion.
-        rig_from_camera: (4, 4) of the OpenCV camera frame.
+        rig_from_camera: (4, 4) pose of the OpenCV camera frame.
         shutter: the direction in which the rolling shutter reads, as CAMERA calibrations name it.
     """
 
@@ -114,7 +114,7 @@ class ImageEntry:
     Attributes:
         jpeg: its file, as it was encoded.
         pose: (4, 4) `global_from_vehicle` at `time_us`.
-        time_us: of the pose, about when the middle column was exposed.
+        time_us: time of the pose, about when the middle column was exposed.
         first_us, last_us: middle of the exposure of the first and last column (or row) read.
     """
 
@@ -131,7 +131,7 @@ class LaserEntry:
 
     Attributes:
         returns: first and, where there is one, second return.
-        pixel_poses: of the first return's pixels, or None.
+        pixel_poses: vehicle poses at the first return's pixels, or None.
     """
 
     returns: tuple[StoredMatrix, ...]
@@ -157,11 +157,12 @@ class FrameEntry:
     """One frame.
 
     Attributes:
-        place: where it is written.
-        start_us: when the first column of the TOP LiDAR was scanned.
+        place: place where the frame is written.
+        start_us: time when the first column of the TOP LiDAR was scanned.
         pose: (4, 4) `global_from_vehicle`, about the middle of the frame; labels and points are in
             this vehicle frame.
-        images, lasers: by name.
+        images: images by camera name.
+        lasers: range images by LiDAR name.
     """
 
     place: Place
@@ -177,7 +178,7 @@ class MapFeatures:
     """The map features of the first frame that has some.
 
     Attributes:
-        place: of the frame.
+        place: place of the frame.
         offset: (3,) map coordinates = vehicle coordinates + this.
     """
 
@@ -192,7 +193,7 @@ class Segment:
 
     Attributes:
         cameras, lasers: calibrations by name.
-        frames: in the order of time.
+        frames: frames in the order of time.
         notes: where, when and in which weather, as far as it is known.
         map: None where there is none: before v1.4.2, and in v2.
     """

@@ -53,7 +53,7 @@ class WaymoImages:
     """The images of one camera of a segment; an `EncodedImageSource`.
 
     Attributes:
-        entries: in the order of time.
+        entries: images in the order of time.
         camera: intrinsics, which tell the size that every image must have.
     """
 
@@ -179,7 +179,7 @@ def range_image_points(
 
     Args:
         image: (H, W, C) with ranges in metres first; 0 or less where nothing returned.
-        calibration: of this LiDAR.
+        calibration: calibration of this LiDAR.
         pixel_poses: (H, W, 6) roll, pitch, yaw (applied in this order about fixed axes) and place
             of the vehicle in the global frame at each pixel; None where not known.
 
@@ -214,11 +214,12 @@ class WaymoSweeps(Timed):
     """The sweeps of one LiDAR of a segment, both returns, read on demand.
 
     Attributes:
-        name: of the LiDAR.
-        frames: those that have it.
-        timestamps_us: (S,) of the sweeps.
-        calibration: of this LiDAR.
-        rig_from_vehicle: (S, 4, 4) from the frame's vehicle frame to the rig's at the sweep's time.
+        name: name of the LiDAR.
+        frames: frames that have this LiDAR.
+        timestamps_us: (S,) times of the sweeps in microseconds.
+        calibration: calibration of this LiDAR.
+        rig_from_vehicle: (S, 4, 4) transforms from the frame's vehicle frame to the rig's at the
+            sweep's time.
     """
 
     name: str
@@ -272,7 +273,7 @@ def read_lidars(
         segment: frames and calibration.
         frame_times_us: (F,) time at which points and labels of each frame are taken to hold.
         world_from_global: (4, 4).
-        trajectory: of the rig, in the world.
+        trajectory: trajectory of the rig in the world.
 
     Raises:
         InputError: a calibration is missing, or a LiDAR has no range image in some frames.

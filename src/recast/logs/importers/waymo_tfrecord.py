@@ -58,9 +58,9 @@ class Record:
     """One record.
 
     Attributes:
-        number: counted from 0.
-        offset: of the data in the file, bytes.
-        data: as stored.
+        number: number of the record, counted from 0.
+        offset: offset of the data in the file, bytes.
+        data: data as stored.
     """
 
     number: int
@@ -266,8 +266,9 @@ class FilePart:
     """Bytes of a file; `StoredBytes`.
 
     Attributes:
-        place: for messages.
-        offset, size: in bytes.
+        place: place of the bytes, for messages.
+        offset: offset in the file, bytes.
+        size: number of bytes.
         sealed: the record's checksum has been compared.
     """
 

@@ -87,7 +87,8 @@ def laser_calibration(
 
     Args:
         inclinations: field and radians (B,), ascending; none where evenly spread.
-        ends: by field, the lowest and the highest radians; none needed where not evenly spread.
+        ends: lowest and highest inclination in radians, by field; none needed where not evenly
+            spread.
         extrinsic: (4, 4).
 
     Raises:
@@ -115,9 +116,9 @@ def image_entry(
     Args:
         jpeg: its file.
         pose: (4, 4) `global_from_vehicle` when it was taken.
-        seconds: by field, the time of the pose, the duration of the exposure, when the camera was
-            triggered and when it was read out.
-        start_us: of the frame.
+        seconds: values in seconds by field: the time of the pose, the duration of the exposure, the
+            time when the camera was triggered and the time when it was read out.
+        start_us: start time of the frame.
 
     Raises:
         FieldError: a time is none, or far from the frame's.

@@ -63,7 +63,7 @@ def run_closed_loop(
     files but the times are the same bytes for any number of workers.
 
     Args:
-        out: new, empty, or of this very grid.
+        out: folder that is new, empty, or of this very grid.
         retry_failures: run rollouts again that failed in an earlier try.
         store: folder or address of the artefacts; beside `out` where none is named.
         ray: address of a Ray cluster, or None for none. Its machines need share no folder: logs

@@ -53,9 +53,9 @@ def parse_scenes(words: Sequence[str], seed: int, track: str | None = None) -> l
         words: a synthetic scene, such as "urban-straight" or "urban-straight:3" with its seed; the
             word "synthetic", for all of them; a log folder with its target, LOG:TRACK; or a log
             folder alone, if `track` is given.
-        seed: of synthetic scenes without one.
-        track: of log folders without one. The track `auto` is the one that `choose_target`
-            chooses.
+        seed: seed of synthetic scenes without one.
+        track: target track of log folders without one. The track `auto` is the one that
+            `choose_target` chooses.
 
     Raises:
         InputError: no scene; an unknown one; a log that cannot be read or lacks the track; the same
@@ -226,7 +226,7 @@ def resolve_bench(
         words, track: see `parse_scenes`.
         motions: names; none for the paper's.
         quick: small sizes where no option says otherwise.
-        samples: of the bootstrap.
+        samples: number of bootstrap samples.
 
     Raises:
         InputError: a file, a scene or an option is wrong.

@@ -33,10 +33,11 @@ class GridResults:
     """What a grid shows.
 
     Attributes:
-        differences: of every arm from the first, by planner.
-        table, truth: a line for each planner and arm; for each that was compared with the truth.
-        floors: by planner, the agreement of the truth with the disturbed truth; empty without arms
-            of noise.
+        differences: differences of every arm from the first, by planner.
+        table: a line for each planner and arm.
+        truth: a line for each planner and arm that was compared with the truth.
+        floors: agreement of the truth with the disturbed truth, by planner; empty without arms of
+            noise.
         losses: what each part costs, for each planner; empty without the truth.
     """
 

@@ -112,7 +112,8 @@ class Task:
     Attributes:
         log: reference of its log in the store; None while there is none, or where it lies in a
             folder of its own.
-        tickets: of the artefacts that it needs, where workers share no folder with this process.
+        tickets: tickets of the artefacts that it needs, where workers share no folder with this
+            process.
     """
 
     scene: BenchScene
@@ -145,8 +146,8 @@ class RolloutTimes:
 
     Attributes:
         render, plan, control: see `recast.simulation.Timings`.
-        total: of everything, loading and writing included.
-        frames: rendered.
+        total: seconds of everything, loading and writing included.
+        frames: number of frames rendered.
     """
 
     render: float
@@ -163,7 +164,8 @@ class Outcome:
     Attributes:
         used: references of the artefacts by use, see `Artefacts.used`.
         log: reference of the log in the store, if it lies there.
-        error, reason, traceback: of what the task raised; None if it is done.
+        error, reason, traceback: error that the task raised, its reason and its traceback; None if
+            the task is done.
         times: durations of a rollout that was made now; None for all else.
         parcels: artefacts that were made, by reference, where no folder is shared.
     """
@@ -211,7 +213,7 @@ def scene_rows(
 
     Args:
         names: planners' names in results, by the word that asks for them.
-        errors: of rollouts that could not begin, by use.
+        errors: errors of rollouts that could not begin, by use.
     """
     scored = {_key(one): one for one in metrics["rollouts"]}
     failures = {_key(one): one for one in metrics["failures"]}

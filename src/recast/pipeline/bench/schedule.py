@@ -99,8 +99,9 @@ class Schedule:
 
     Args:
         names: planners' names in results, by the word that asks for them.
-        score: gives the rows of a scene whose tasks are all done, from its id, the references of
-            its artefacts by use, its log, and the errors of rollouts that could not begin.
+        score: function that gives the rows of a scene whose tasks are all done, from its id, the
+            references of its artefacts by use, its log, and the errors of rollouts that could not
+            begin.
     """
 
     def __init__(
@@ -216,7 +217,7 @@ class Times:
         """Write the file, with sums where the grid is finished; return its content.
 
         Args:
-            scenes: by scene, the seconds that its artefacts took.
+            scenes: seconds that the artefacts of a scene took, by scene.
         """
         self._session.seconds = round(seconds, 2)
         sessions = [session.model_dump() for session in (*self._sessions, self._session)]

@@ -43,14 +43,14 @@ def run_trust(
     """Calibrate on grids, apply a calibration to others, print and write both.
 
     Args:
-        grids: with an oracle arm; none to validate alone.
-        validate: grids that a calibration is applied to: the one that is made now, or else
-            `calibration`.
+        grids: folders of grids with an oracle arm; none to validate alone.
+        validate: folders of grids that a calibration is applied to: the one that is made now, or
+            else `calibration`.
         out: file of the calibration; diagrams are written beside it. May be None without `grids`.
-        calibration: file; that of the package if None.
+        calibration: file of a calibration; that of the package if None.
 
     Returns:
-        "left out", by scenes left out in turn, and "validation", as far as asked for.
+        Reliabilities "left out", by scenes left out in turn, and "validation", as far as asked for.
 
     Raises:
         InputError: nothing is asked for, a grid is not finished or has no truth, or too little data

@@ -55,7 +55,7 @@ class BenchWorker:
 
     Args:
         retry_failures: run rollouts again that failed in an earlier try.
-        fetch: gets the artefacts that come with a task, see `ParcelDepot`.
+        fetch: function that gets the artefacts that come with a task, see `ParcelDepot`.
     """
 
     def __init__(
@@ -150,7 +150,8 @@ class Courier:
     """Puts each artefact into Ray's object store once, for all tasks that need it.
 
     Args:
-        worker: makes a worker of a store, which is asked what earlier tries have made.
+        worker: function that makes a worker of a store, which is asked what earlier tries
+            have made.
     """
 
     fetch = staticmethod(fetch_parcel)
@@ -202,9 +203,9 @@ class Workers:
     """The workers of an experiment, and the store that they fill.
 
     Args:
-        workers: processes of this machine, or actors of the cluster.
+        workers: number of processes of this machine, or of actors of the cluster.
         ray: address of a Ray cluster, whose machines share no folder; None for none.
-        store: folder or address; beside `out` if None.
+        store: folder or address of the artefacts; beside `out` if None.
 
     Raises:
         InputError: see `worker_pool` and `open_store`.
@@ -227,8 +228,9 @@ class Workers:
         """Do all tasks.
 
         Args:
-            kind: makes a worker from its store, `arguments`, and what fetches parcels, if any.
-            done: told what came of each task, which may make others ready.
+            kind: function that makes a worker from its store, `arguments`, and what fetches
+                parcels, if any.
+            done: function that is told what came of each task, which may make others ready.
         """
         courier = None
         if self._place is None:

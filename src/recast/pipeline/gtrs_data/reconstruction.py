@@ -57,7 +57,7 @@ class Painter(Protocol):
         """(H, W, 3) uint8.
 
         Args:
-            name: of the rig's camera, which may be cropped here.
+            name: name of the rig's camera, which may be cropped here.
             world_from_camera: (4, 4), OpenCV camera frame.
             poses: `world_from_actor` (4, 4) of what moves, by track id; parked vehicles are always
                 there.
@@ -121,7 +121,7 @@ def reconstruct(world: World, store: Store, steps: int) -> Reconstruction | None
     The log has images of the size at which samples are rendered, and all of them are trained on.
 
     Args:
-        steps: of the street's training.
+        steps: number of steps of the street's training.
 
     Returns:
         None if the log shows too little of its target for a vehicle to be made.

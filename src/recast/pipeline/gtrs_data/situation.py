@@ -28,8 +28,9 @@ class Situation:
     """One place and moment, with several speeds at which the ego may come there.
 
     Attributes:
-        states: (K, 11) of the ego, equal in pose.
-        others, parked: logged vehicles that are there too; vehicles that always are.
+        states: (K, 11) states of the ego, equal in pose.
+        others: logged vehicles that are there too.
+        parked: vehicles that are always there.
     """
 
     states: Array
@@ -56,7 +57,7 @@ def draw_situation(
 
     Args:
         with_actor: whether a vehicle is placed by a random motion, see `place_actor`.
-        speeds: K.
+        speeds: number of speeds K.
     """
     parked = tuple(stage.parked())
     for _ in range(_TRIES):

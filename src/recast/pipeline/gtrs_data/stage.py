@@ -50,7 +50,7 @@ class Stage:
     """A world to draw situations from.
 
     Attributes:
-        world: with vehicles that stand nowhere until they are placed.
+        world: world with vehicles that stand nowhere until they are placed.
         actors: ids of the vehicles to be placed.
     """
 
@@ -116,14 +116,14 @@ class PlacedActor:
     """A vehicle from now on.
 
     Attributes:
-        speed: m/s now.
-        world_from_actor: (4, 4) now.
-        s: of the route, now.
+        speed: speed now, m/s.
+        world_from_actor: (4, 4) pose now.
+        s: place along the route now, metres.
         gap: metres between the ego's front and it; negative beside the ego.
         in_lane: whether it is in the ego's way, now or within the time that is foreseen.
         slowest: least speed along the route within that time, m/s; 0 where it comes towards the
             ego.
-        ego_speed: m/s at which the ego comes there or waits; None if it may be any.
+        ego_speed: speed at which the ego comes there or waits, m/s; None if it may be any.
     """
 
     obstacle: Obstacle

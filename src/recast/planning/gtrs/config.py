@@ -32,7 +32,7 @@ class StageConfig(Record):
 
     Attributes:
         blocks: one-shot-aggregation blocks; each but the first is residual.
-        conv_channels: of the 3x3 convolutions inside a block.
+        conv_channels: channels of the 3x3 convolutions inside a block.
     """
 
     blocks: Depth
@@ -76,9 +76,9 @@ class GtrsConfig(Record):
     """A GTRS-Dense model (Li et al. 2025); the defaults are the released one.
 
     Attributes:
-        channels: d, of all tokens.
+        channels: number of channels of all tokens, d.
         feedforward: hidden channels of the decoder, of the vocabulary embedding and of the heads.
-        token_rows, token_columns: to which the backbone's features are pooled.
+        token_rows, token_columns: size to which the backbone's features are pooled.
     """
 
     backbone: BackboneConfig = BackboneConfig()
@@ -111,11 +111,11 @@ class ViewLayout(Record):
     Attributes:
         cameras: what the left, front and right picture are called here; `nuplan_rig`'s names stand
             for its cameras, others say nothing about the names in a log.
-        width, height: of each picture, pixels.
+        width, height: size of each picture, pixels.
         crop_rows, crop_columns: pixels cropped at each edge.
-        input_width, input_height: of the network's input, pixels.
-        yaws: where the three look, degrees to the left of ahead. Like `field_of_view`, not used
-            with nuPlan's rig.
+        input_width, input_height: size of the network's input, pixels.
+        yaws: viewing directions of the three cameras, degrees to the left of ahead. Like
+            `field_of_view`, not used with nuPlan's rig.
         field_of_view: horizontal field of view of each, degrees; Waymo's by default.
     """
 
@@ -190,7 +190,8 @@ class ViewLayout(Record):
         Crops are scaled with the images; the network's input stays as it is.
 
         Args:
-            sizes: (width, height) of the images to come, by camera name; others may be there too.
+            sizes: (width, height) of the images to come, by camera name; other names may be there
+                too.
 
         Raises:
             InputError: a camera is not there, its proportion is another, or the three differ.

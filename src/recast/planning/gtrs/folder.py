@@ -122,7 +122,7 @@ def load_checkpoint(
         vocabulary: `.npy` file, such as the released 8192 trajectories; None takes those in the
             checkpoint, with which it was trained.
         config: sizes; None for the released ones.
-        name: for tables and messages.
+        name: name of the planner, for tables and messages.
 
     Raises:
         InputError: see `read_weights`, `load_weights` and `read_vocabulary`; or no vocabulary is

@@ -111,7 +111,7 @@ class GtrsModel(nn.Module):
         identity, the positional embedding N(0, 0.02).
 
         Args:
-            generator: on the model's device; source of all random numbers.
+            generator: random generator on the model's device; source of all random numbers.
         """
         for module in self.modules():
             if isinstance(module, nn.Conv2d):

@@ -46,7 +46,7 @@ class GtrsDecision:
         trajectories: (N, 40, 3) x, y, heading of the rear axle in the present ego frame; the
             vocabulary, and behind it the external proposals, where there were any.
         scores: (N,) log scores, see `final_score`.
-        sub_scores: by head, (N,): expected sub-scores in [0, 1]; of "imi", the probability that a
+        sub_scores: (N,) expected sub-scores in [0, 1], by head; of "imi", the probability that a
             human drives the trajectory.
         first: index from which on trajectories may be chosen; those before are only scored.
     """
@@ -81,12 +81,12 @@ class GtrsPlanner:
     cycle to the next, but for what depends on the vocabulary alone, which is computed once.
 
     Args:
-        model: in evaluation mode, on the device it shall run on.
-        vocabulary: (L, 40, 3), see `read_vocabulary`.
-        views: which pictures, and how they are stitched; of another size in the same proportion,
-            they are stitched alike.
-        name: for tables and messages.
-        weights: of the final score, where only the vocabulary is scored.
+        model: model in evaluation mode, on the device it shall run on.
+        vocabulary: (L, 40, 3) trajectories, see `read_vocabulary`.
+        views: layout of the pictures: which ones, and how they are stitched; of another size in the
+            same proportion, they are stitched alike.
+        name: name of the planner, for tables and messages.
+        weights: weights of the final score, where only the vocabulary is scored.
         top_k: how many candidates a plan carries beside the best.
 
     Raises:
@@ -185,7 +185,7 @@ class GtrsPlanner:
         """Score every trajectory.
 
         Args:
-            observation: its images, command and ego state are used.
+            observation: planner input; its images, command and ego state are used.
             proposals: (N, 40, 3) trajectories of another planner in the present ego frame. They are
                 scored together with the vocabulary, with the weights of the combined mode.
             proposals_only: choose among the proposals; the vocabulary is still scored with them.

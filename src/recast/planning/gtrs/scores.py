@@ -106,12 +106,12 @@ class ScoreWeights(Record):
     """Weights of the final score; see `final_score`.
 
     Attributes:
-        imitation: of log softmax of the imitation head.
-        no_collision, drivable_area, direction, traffic_light: of the log of each sub-score.
-        average: of the log of the weighted sum of the three that follow.
-        time_to_collision, progress, lane_keeping: within that sum.
-        comfort: within that sum too, of trajectories that are comfortable as COM counts it; 0 in
-            the released modes.
+        imitation: weight of log softmax of the imitation head.
+        no_collision, drivable_area, direction, traffic_light: weight of the log of each sub-score.
+        average: weight of the log of the weighted sum of the three that follow.
+        time_to_collision, progress, lane_keeping: weights within that sum.
+        comfort: weight, within that sum too, of trajectories that are comfortable as COM counts it;
+            0 in the released modes.
     """
 
     imitation: NonNegativeFloat
@@ -240,7 +240,7 @@ def training_loss(
         logits: head name to (B, L).
         targets: metric name to sub-scores (B, L) in [0, 1] of the trajectories as a controller
             would drive them; names without a weight are ignored.
-        trajectories: (L, 40, 3) or (B, L, 40, 3), those that were scored.
+        trajectories: (L, 40, 3) or (B, L, 40, 3) trajectories that were scored.
         demonstration: (B, 8, 3) the human's poses at 0.5 s .. 4 s in the present ego frame.
         metric_weights: a metric that is left out is not trained.
 
@@ -266,7 +266,7 @@ def vocabulary_dropout(size: int, kept: int, generator: torch.Generator) -> Tens
     The released training keeps 8192 of 16384; trajectories and targets are indexed alike.
 
     Args:
-        kept: at most `size`.
+        kept: number of indices to keep, at most `size`.
 
     Raises:
         ValueError: `kept` is not in 1 .. `size`.

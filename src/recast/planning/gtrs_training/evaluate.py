@@ -31,8 +31,8 @@ class SampleScores:
     """Means over held-out samples; shares and scores in [0, 1].
 
     Attributes:
-        samples: how many, each at one speed.
-        loss: of the heads.
+        samples: number of samples, each at one speed.
+        loss: loss of the heads.
         gap: how much the loss grows with another sample's picture: 0 means that it is ignored.
         score: true score NC DAC DDC (5 TTC + 5 EP + 2 LK) / 12 of the chosen trajectory.
         regret: the best trajectory's score less that.
@@ -85,8 +85,8 @@ def evaluate(task: GtrsTask, indices: NDArray[np.int64], weights: ScoreWeights) 
     The model is put into evaluation mode meanwhile.
 
     Args:
-        indices: of the samples, at least two; the first speed of each is taken.
-        weights: by which it chooses.
+        indices: indices of the samples, at least two; the first speed of each is taken.
+        weights: score weights by which it chooses.
     """
     model, store = task.model, task.store
     was_training = model.training
@@ -148,8 +148,8 @@ def decision_sheet(task: GtrsTask, indices: NDArray[np.int64], weights: ScoreWei
     """(H, W, 3) uint8: what the network chooses, red, on what `truth_sheet` shows.
 
     Args:
-        indices: of the samples; the first speed of each.
-        weights: by which it chooses.
+        indices: indices of the samples; the first speed of each is taken.
+        weights: score weights by which it chooses.
     """
     was_training = task.model.training
     task.model.eval()

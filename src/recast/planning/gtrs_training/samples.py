@@ -62,11 +62,12 @@ class DatasetRecord(Record):
     """What all samples of a folder share, as written to `dataset.json`.
 
     Attributes:
-        seed: of everything random; a world's samples depend on it and on the world's number alone.
-        per_world: samples of each world.
-        speeds: ego states of each sample.
-        seconds: of each world's drive.
-        scenes: by which worlds take turns.
+        seed: seed of everything random; a world's samples depend on it and on the world's number
+            alone.
+        per_world: number of samples of each world.
+        speeds: number of ego states of each sample.
+        seconds: length of each world's drive in seconds.
+        scenes: names of scenes, which the worlds take in turn.
         reconstructed: share of the worlds whose images are those of a reconstructed street.
         street_steps: training steps of each of these streets.
     """
@@ -104,7 +105,7 @@ class Sample:
         scores: (K, 6, L) uint8, see `Targets`.
         best: (K,) int32, the best trajectory.
         clues: (10,) float32, see `CLUES`.
-        renderer: of the image, see `RENDERERS`.
+        renderer: renderer of the image, see `RENDERERS`.
     """
 
     image: NDArray[np.uint8]
@@ -124,7 +125,7 @@ def write_world(folder: Path, samples: Sequence[Sample], twins: Sequence[int]) -
     """Write the samples of a world, whole or not at all.
 
     Args:
-        twins: for each sample the number of the one that differs in the vehicle alone, or -1.
+        twins: number, for each sample, of the one that differs in the vehicle alone, or -1.
     """
     with atomic_folder(folder) as partial:
         np.save(partial / _IMAGES, np.stack([one.image for one in samples]))
@@ -138,15 +139,15 @@ class SampleStore:
     """All samples of a dataset folder; pictures stay on disk until they are looked at.
 
     Args:
-        folder: of `recast planner dataset`.
+        folder: folder that `recast planner dataset` wrote.
 
     Raises:
         InputError: it has no samples, its record or a world's files are wrong.
 
     Attributes:
-        record, vocabulary: of the folder.
+        record, vocabulary: record and vocabulary of the folder.
         worlds: (N,) number of each sample's world.
-        status, scores, best, clues: of all samples, see `Sample`.
+        status, scores, best, clues: values of all samples, see `Sample`.
         renderer: (N,) index in `RENDERERS` of what rendered each image.
         twin: (N,) index of the sample that differs in the vehicle alone, or -1.
     """

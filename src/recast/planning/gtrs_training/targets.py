@@ -60,7 +60,7 @@ class Road:
         map: lanes and drivable area.
         lanes: ids of the lanes of the route.
         middle: path on which progress and lane keeping are measured.
-        speeds: (N,) m/s wanted at the path's poses.
+        speeds: (N,) wanted speeds at the path's poses, m/s.
     """
 
     map: PlannerMap
@@ -107,8 +107,8 @@ def score_vocabulary(
     Areas and lanes are looked up every 0.2 s.
 
     Args:
-        vocabulary: (L, 40, 3).
-        state: (11,) of the ego, world.
+        vocabulary: (L, 40, 3) trajectories.
+        state: (11,) state of the ego, world.
     """
     start = np.broadcast_to(state, (len(vocabulary), ego.SIZE))
     poses = plan_to_poses(start[:, ego.POSE], vocabulary.astype(np.float64))
@@ -183,7 +183,7 @@ class Obstacle:
     """A road user whose future is known.
 
     Attributes:
-        token: its id.
+        token: id of the obstacle.
         poses: (FORESEEN + 1, 3) x, y, heading of its box centre from now on, world.
         size: (>=2,) length and width, metres.
     """

@@ -63,11 +63,11 @@ class Batch:
     """Samples as tensors: B pictures, K speeds of each, L trajectories.
 
     Attributes:
-        images: (B, 3, H, W) in [0, 1].
-        status: (B K, 8), those of a picture one after another.
-        trajectories: (L, 40, 3) that are scored.
-        targets: by metric head, (B K, L).
-        demonstration: (B K, 8, 3), of the best trajectories of the whole vocabulary.
+        images: (B, 3, H, W) images in [0, 1].
+        status: (B K, 8) status vectors, those of a picture one after another.
+        trajectories: (L, 40, 3) trajectories that are scored.
+        targets: (B K, L) target sub-scores, by metric head.
+        demonstration: (B K, 8, 3) poses of the best trajectories of the whole vocabulary.
         clues: (B, 10).
     """
 
@@ -89,10 +89,10 @@ class GtrsTask:
     so that nothing but the picture tells them apart.
 
     Args:
-        store: of the samples.
-        indices: those to train on.
-        model: what is trained; for the vocabulary of the store.
-        reader: trained with it, and not part of the planner.
+        store: store of the samples.
+        indices: indices of the samples to train on.
+        model: model that is trained; for the vocabulary of the store.
+        reader: reader that is trained with it, and not part of the planner.
         batch: samples a step; even.
         kept: trajectories scored in a step; all where the vocabulary has fewer.
     """
@@ -139,11 +139,11 @@ class GtrsTask:
         """Samples as a batch.
 
         Args:
-            chosen: (B,) indices.
-            speeds: (K,) which of the ego's speeds, for all alike.
-            mirrored: (B,) which are taken in the mirror.
-            images: instead of the stored ones.
-            scored: (L,) indices of the trajectories; None: all.
+            chosen: (B,) indices of the samples.
+            speeds: (K,) indices of the ego's speeds, the same for all samples.
+            mirrored: (B,) whether a sample is taken in the mirror.
+            images: pictures instead of the stored ones.
+            scored: (L,) indices of the trajectories; None for all.
         """
         store, twice = self.store, self._mirror
         if scored is None:
@@ -202,8 +202,8 @@ class ClueReader(nn.Module):
     teaches the backbone from the first step on where the vehicle and the road are.
 
     Args:
-        channels: of the tokens.
-        generator: of the first weights.
+        channels: number of channels of the tokens.
+        generator: random generator of the first weights.
     """
 
     scales: Tensor
@@ -301,7 +301,7 @@ class PlannerTrainingConfig(Record):
     Attributes:
         trainer: optimiser and schedule.
         network: sizes.
-        scoring: of the exported planner, by which it is judged too.
+        scoring: score weights of the exported planner, by which it is judged too.
         batch: samples a step, even.
         kept: trajectories of the vocabulary that are scored in a step.
         oracle_only: leave out samples that show a reconstruction, those held out too.

@@ -54,13 +54,16 @@ class PlannerTrainingRecord(Record):
     """`planner_training.json`: what from and how, and at the end what it reaches.
 
     Attributes:
-        config: how.
-        dataset_sha256: of the dataset's record and vocabulary; worlds may be added between two
-            trainings, not during one.
-        samples, held_out: how many are trained on, and not.
-        parameters: of the planner.
-        start_sha256: of the planner folder that it began from; None where weights were drawn.
-        reached: on all held-out samples, by the weights that are exported; None before the end.
+        config: configuration of the training.
+        dataset_sha256: SHA-256 of the dataset's record and vocabulary; worlds may be added between
+            two trainings, not during one.
+        samples: number of samples that are trained on.
+        held_out: number of samples that are held out.
+        parameters: number of the planner's parameters.
+        start_sha256: SHA-256 of the planner folder that it began from; None where weights were
+            drawn.
+        reached: scores on all held-out samples, by the weights that are exported; None before the
+            end.
     """
 
     format: Literal["recast-planner-training"] = "recast-planner-training"

@@ -44,7 +44,7 @@ class NavsimPlanner:
         agent: has `initialize`, `get_sensor_config` and `compute_trajectory`.
         cameras: NAVSIM name to the rig's camera, such as `NUPLAN_RIG`; None to take those that look
             in the same direction.
-        name: for tables and file names; None for the agent's.
+        name: name for tables and file names; None for the agent's.
 
     Raises:
         InputError: the object is no agent; the agent wants what is not simulated (LiDAR, the scene

@@ -54,7 +54,7 @@ class EgoStatus:
         ego_velocity: (2,) vx, vy in the ego frame of that moment, m/s.
         ego_acceleration: (2,) ax, ay likewise, m/s^2; ay contains the centripetal part.
         driving_command: (4,) one-hot left, straight, right, unknown.
-        in_global_frame: False for agents.
+        in_global_frame: whether poses are in the global frame; False for agents.
     """
 
     ego_pose: NDArray[np.float32]
@@ -72,8 +72,8 @@ class Camera:
         image: (H, W, 3) uint8 RGB.
         sensor2lidar_rotation, sensor2lidar_translation: (3, 3) and (3,), OpenCV camera frame to the
             LiDAR's. No LiDAR is simulated: its frame is taken to be the ego's.
-        intrinsics: (3, 3) with pixel centres at whole numbers, as OpenCV counts.
-        distortion: (5,) k1, k2, p1, p2, k3.
+        intrinsics: (3, 3) camera matrix with pixel centres at whole numbers, as OpenCV counts.
+        distortion: (5,) coefficients k1, k2, p1, p2, k3.
     """
 
     image: NDArray[np.uint8] | None = None
@@ -175,7 +175,7 @@ class Trajectory:
     Attributes:
         poses: (num_poses, 3) x, y, heading in the present ego frame; the present pose, all zero, is
             not among them.
-        trajectory_sampling: when they are.
+        trajectory_sampling: times of the poses.
     """
 
     poses: Any

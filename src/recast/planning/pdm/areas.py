@@ -48,9 +48,9 @@ def ego_areas(
     """Flags of ego boxes; a point on a polygon's edge is outside it.
 
     Args:
-        corners: (..., 4, 2) of the boxes.
-        centres: (..., >=2) of the boxes.
-        rear_axles: (..., >=2).
+        corners: (..., 4, 2) corners of the boxes.
+        centres: (..., >=2) centres of the boxes.
+        rear_axles: (..., >=2) rear axles.
     """
     corners = np.asarray(corners, np.float64)
     centres = np.asarray(centres, np.float64)[..., None, :2]

@@ -123,8 +123,8 @@ def start_lane(
 
     Args:
         route_lanes: ids, at least one.
-        rear_axle: (3,) pose.
-        centre: (>=2,) of the ego's box.
+        rear_axle: (3,) pose of the rear axle.
+        centre: (>=2,) centre of the ego's box.
     """
     rear_axle, centre = np.asarray(rear_axle, np.float64), np.asarray(centre, np.float64)
     on_route = set(route_lanes)

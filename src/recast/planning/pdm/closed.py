@@ -62,7 +62,8 @@ class PdmClosed:
     """The planner for one drive; the centreline found at the first call stays.
 
     Args:
-        route, vehicle: block ids in order, mended at the first call; the ego.
+        route: block ids in order, mended at the first call.
+        vehicle: the ego.
 
     Raises:
         InputError: the map has no lanes, or the route is empty or names blocks it lacks.

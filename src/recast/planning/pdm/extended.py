@@ -91,7 +91,7 @@ def score_extended(
 
     Args:
         forecast: covers 40 steps; see `recast.planning.pdm.forecast.observed`.
-        centreline: for progress and lane keeping.
+        centreline: path for progress and lane keeping.
         history: see `history_comfort`.
 
     Raises:
@@ -131,7 +131,7 @@ def window_direction(centres: Array, oncoming: BoolArray) -> Array:
     """DDC (P,): by the most metres off the route's lanes within any 1 s; <2 m 1, <6 m 1/2, else 0.
 
     Args:
-        centres: (P, T, >=2) of the boxes.
+        centres: (P, T, >=2) centres of the boxes.
         oncoming: (P, T) the centre is in no lane of the route, and in no intersection.
     """
     moved = np.zeros(centres.shape[:2])
@@ -146,7 +146,7 @@ def traffic_light_compliance(corners: Array, forecast: Forecast) -> Array:
     """TLC (P,): 0 where a box touches the polygon of a connector while its light is red, else 1.
 
     Args:
-        corners: (P, T, 4, 2) of the boxes.
+        corners: (P, T, 4, 2) corners of the boxes.
         forecast: covers T steps.
     """
     boxes = shapely.polygons(corners)
@@ -163,8 +163,8 @@ def lane_keeping(centres: Array, crossing: BoolArray, centreline: LanePath) -> A
     Samples in an intersection are skipped; they do not end a row.
 
     Args:
-        centres: (P, T, >=2) of the boxes.
-        crossing: (P, T) in an intersection.
+        centres: (P, T, >=2) centres of the boxes.
+        crossing: (P, T) whether the centre is in an intersection.
     """
     off = shapely.distance(centreline.line, shapely.points(centres[..., :2])) > _OFF_LANE
     running, longest = np.zeros(len(off)), np.zeros(len(off))

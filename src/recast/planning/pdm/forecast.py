@@ -71,7 +71,7 @@ class Forecast:
     """Polygons of n obstacles over the coming steps.
 
     Attributes:
-        headings: (n,) now; 0 for red lights.
+        headings: (n,) headings now; 0 for red lights.
         speeds: (n,) m/s, 0 for what stands.
         polygons: (maps, n) shapely polygons.
         ignored: (n,) obstacles the ego has touched: nothing can be done about them any more.
@@ -101,8 +101,8 @@ class Forecast:
         Ignored obstacles and red lights are met by nobody.
 
         Args:
-            corners: (P, L, 4, 2) of P boxes at L looks.
-            steps: (L,) of the forecast, for each look.
+            corners: (P, L, 4, 2) corners of P boxes at L looks.
+            steps: (L,) steps of the forecast, one for each look.
             counted: (P, L) looks that count.
         """
         looks, maps = corners.shape[1], steps // self.stride
@@ -150,9 +150,9 @@ def forecast(
         obstacles: road users and static objects; those within `radius` of the centre count, of
             each kind the nearest ones.
         red_lights: lane id and polygon of closed connectors on the route.
-        centre: (>=2,) of the ego's box.
-        collided: ids touched so far, which are left out; grows.
-        steps: of `dt` seconds, covered at least.
+        centre: (>=2,) centre of the ego's box.
+        collided: ids of obstacles touched so far, which are left out; grows.
+        steps: number of steps of `dt` seconds that are covered at least.
     """
     chosen = _nearest(obstacles, np.asarray(centre, np.float64)[:2], collided, radius)
     count = len(chosen)
@@ -187,7 +187,7 @@ def observed(
     """The forecast of obstacles whose poses are known at every step; none is ignored.
 
     Args:
-        obstacles: n at the first step.
+        obstacles: n obstacles at the first step.
         poses: (n, T, 3) x, y, heading of their box centres; NaN while they are not there.
         red_lights: lane id, polygon, and (T,) whether the light is red, of connectors on the route.
     """
@@ -219,7 +219,9 @@ def _drift(headings: Array, velocities: Array, speeds: Array) -> Array:
     Against it where the velocity points backwards.
 
     Args:
-        headings, velocities, speeds: (n,), (n, 2) and (n,) now; speed 0 for what stands.
+        headings: (n,) headings now.
+        velocities: (n, 2) velocities now.
+        speeds: (n,) speeds now; 0 for what stands.
     """
     course = np.arctan2(velocities[:, 1], velocities[:, 0])
     forward = np.abs(se2.wrap_angle(headings - course)) < np.pi / 2

@@ -80,7 +80,7 @@ class Unroll:
 
     Args:
         targets: (S,) target speeds in m/s, positive.
-        state: (11,) of the ego; starts each proposal at its projection, at its speed vx.
+        state: (11,) state of the ego; starts each proposal at its projection, at its speed vx.
     """
 
     def __init__(
@@ -226,7 +226,7 @@ def brake_plan(state: Array, steps: int, dt: float, *, reference_quirks: bool) -
     latter, which would start a standing ego that has just braked.
 
     Args:
-        state: (11,) of the ego.
+        state: (11,) state of the ego.
     """
     speed, acceleration = float(state[ego.VX]), float(state[ego.AX])
     if speed > _CRAWL:

@@ -115,7 +115,7 @@ def direction_compliance(centres: Array, areas: EgoAreas) -> Array:
     """DDC (P,): by the longest contiguous stretch off the route's lanes, in metres.
 
     Args:
-        centres: (P, T, >=2) of the boxes.
+        centres: (P, T, >=2) centres of the boxes.
         areas: flags (P, T).
     """
     moved = np.zeros(centres.shape[:2])

@@ -63,8 +63,10 @@ class ExportedBundle:
     """What `export_bundle` wrote.
 
     Attributes:
-        scene_id: by which the runtime asks the renderer.
-        cameras, tracks, lanes: how many.
+        scene_id: scene id by which the runtime asks the renderer.
+        cameras: number of cameras.
+        tracks: number of tracks.
+        lanes: number of lanes.
         frames_left_out: camera frames that begin before the ego trajectory.
         tracks_left_out: tracks with one label, through which the runtime can lay no spline.
     """

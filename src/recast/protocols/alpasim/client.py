@@ -83,7 +83,7 @@ class SensorsimRenderer(Mounted, Closing):
     virtual ones need `through_lenses`. Poses are rounded to float32 on the way.
 
     Args:
-        client: of the server; the renderer does not close it.
+        client: client of the server; the renderer does not close it.
         scene_id: one of `SensorsimClient.scenes`.
         mounts: cameras to render, see `camera_mounts`; those of the server's list need not be used.
         image_format: "png" and "planar" keep every pixel as it was drawn, "jpeg" does not.

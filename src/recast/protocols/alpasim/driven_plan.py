@@ -37,7 +37,7 @@ class DrivenPlan:
         """The plan of a message Trajectory that has poses.
 
         Args:
-            ego_pose: (3,) of the ego now, world.
+            ego_pose: (3,) pose of the ego now, world.
 
         Raises:
             ValueError: a pose is none, there is only one, times do not rise, or the plan lies in
@@ -80,9 +80,9 @@ class DrivenPlan:
         last pose the ego goes on straight, at the velocity between the last two.
 
         Args:
-            now_us: earlier than `ends_us`.
-            ego_pose: (3,) of the ego now, world.
-            times_us: (M,) rising, later than now.
+            now_us: present time, earlier than `ends_us`.
+            ego_pose: (3,) pose of the ego now, world.
+            times_us: (M,) times of the waypoints, rising, later than now.
         """
         knots, poses = self.timestamps_us, se2.relative(ego_pose, self.poses)
         if knots[0] > now_us:

@@ -64,7 +64,7 @@ class AlpaSimDriver(Closing):
         cameras: driver's name to the log's, of the cameras to send; names alone where both are the
             same; () for none. None for all that are rendered. A driver refuses a camera that it
             does not use.
-        name: for tables; None for the word that names the planner.
+        name: name for tables; None for the word that names the planner.
         image_format: "jpeg" (quality 95, as in AlpaSim), or "png", which keeps every pixel.
         seed: sent with each session.
         warm_up: seconds from the start within which there must be a plan.

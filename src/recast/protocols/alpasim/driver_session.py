@@ -58,7 +58,7 @@ class DriverSession(Closing):
 
     Args:
         address: host:port of the driver.
-        context: of the rollout.
+        context: planning context of the rollout.
         cameras: name in `PlannerInput.images` by the driver's name.
         seed: sent to the driver.
         image_format: `recast.protocols.alpasim.requests.JPEG` or `PNG`.

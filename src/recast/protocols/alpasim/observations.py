@@ -66,7 +66,7 @@ def egomotion(
     """The message RolloutEgoTrajectory.
 
     Args:
-        timestamps_us: of the N poses, rising.
+        timestamps_us: times of the N poses, rising.
         local_from_rig: (N, 4, 4).
         states: (N, 11) columns of `recast.dynamics.state`.
     """

@@ -30,7 +30,7 @@ class SensorsimRequest(RenderRequest):
 
     Attributes:
         image_format: `PNG`, `JPEG` or `PLANAR`.
-        quality: of a JPEG, 1 to 100.
+        quality: JPEG quality, 1 to 100.
     """
 
     image_format: int

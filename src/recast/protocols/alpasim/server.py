@@ -49,7 +49,7 @@ class SensorsimService:
     """The methods of the service, each from message to message; free of gRPC.
 
     Args:
-        painter: draws.
+        painter: painter that draws the images.
         ftheta_centre: see `recast.protocols.alpasim.cameras.FTHETA_CENTRE`.
     """
 
@@ -134,15 +134,15 @@ class SensorsimServer(Closing):
     """Serves scenes until it is closed; a context manager.
 
     Args:
-        service: answers.
+        service: service that answers the calls.
         host: address to listen on. The channel is not secured: everybody who reaches it may ask.
-        port: 0 for any free one.
+        port: port to listen on; 0 for any free one.
         workers: threads, see `WORKERS`.
         queue: see `QUEUE`; further calls are answered with RESOURCE_EXHAUSTED.
         paths: names under which the service is found.
 
     Attributes:
-        port: where it listens.
+        port: port on which it listens.
 
     Raises:
         InputError: the port is taken, or the address is none of this machine.

@@ -71,8 +71,8 @@ class NeuroNcapPlanner:
     One program has one state, so only one rollout may use it at a time.
 
     Args:
-        service: where it listens.
-        name: for tables and file names.
+        service: address at which the program listens.
+        name: name for tables and file names.
     """
 
     needs_images = True

@@ -62,8 +62,8 @@ class NcapFileActor:
     Attributes:
         uuids: tracks of which one is drawn for each run.
         is_list: whether the file gives a list, for which a random number is drawn.
-        flipped: those whose fallback yaw is turned by pi.
-        group: of which only one actor is in a run; None for none.
+        flipped: tracks whose fallback yaw is turned by pi.
+        group: group of which only one actor is in a run; None for none.
         optimized: drives as logged; otherwise it is at `positions` at `times`.
         times: seconds after the first key frame.
         positions: x, y, z in the coordinates of the dataset, bottom of the box.

@@ -37,8 +37,8 @@ class NcapRun:
     Attributes:
         seed: its index.
         target: track.
-        steps: of 0.1 s, from the end of the priming to the end of the scenario.
-        motions: by track, the target first.
+        steps: number of steps of 0.1 s from the end of the priming to the end of the scenario.
+        motions: motions by track, the target first.
     """
 
     seed: int

@@ -33,10 +33,10 @@ class ImportedFile:
     """A scenario file that was written.
 
     Attributes:
-        path: of the file.
+        path: path of the file.
         target: track that a run shall control.
         seeds: indices of the runs that are its settings.
-        steps: of 0.1 s; the least of its runs.
+        steps: number of steps of 0.1 s; the least of its runs.
     """
 
     path: Path
@@ -53,7 +53,7 @@ def import_ncap_scenario(
     Args:
         path: NeuroNCAP's file.
         log: the nuScenes scene of the scenario.
-        runs: how many; their seeds are 0, 1, ...
+        runs: number of runs; their seeds are 0, 1, ...
         name: what scenario names begin with; None for the names of the file and its folder.
 
     Raises:

@@ -47,8 +47,8 @@ class NcapService:
     """What the endpoints of one scene answer.
 
     Args:
-        painter: draws; it may have other scenes, too.
-        scene_id: of the scene.
+        painter: painter that draws the images; it may have other scenes, too.
+        scene_id: id of the scene.
     """
 
     def __init__(self, painter: ScenePainter, scene_id: str) -> None:

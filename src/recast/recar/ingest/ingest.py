@@ -73,10 +73,11 @@ def ingest_photographs(
     files are the same for any number of workers.
 
     Args:
-        photos: holds the table and a folder for each vehicle.
+        photos: folder that holds the table and a folder for each vehicle.
         out: folder of the set; new, empty, or a set of the same settings.
-        remover: for photographs in which nothing is transparent; None refuses them.
-        table: CSV or JSON; None finds it beside the folders.
+        remover: background remover for photographs in which nothing is transparent; None refuses
+            them.
+        table: table as a CSV or JSON file; None finds it beside the folders.
         skip_bad: leave bad vehicles out and finish the set.
         on_bad: called with the name and the fault of each bad vehicle.
         progress: called with pictures done and all pictures.

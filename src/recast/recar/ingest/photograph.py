@@ -190,9 +190,9 @@ class Candidate:
     """A vehicle to bring in.
 
     Attributes:
-        row: of the table.
-        photographs: by azimuth.
-        masks: of each photograph, None where there is none; empty where there are none at all.
+        row: row of the table.
+        photographs: files of the photographs, by rising azimuth.
+        masks: mask of each photograph, None where there is none; empty where there are none at all.
         doubts: what a person should look at.
     """
 

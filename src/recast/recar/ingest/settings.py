@@ -40,8 +40,8 @@ class Layout:
 
     Attributes:
         title: its name, for people.
-        width, height: of the published photographs, pixels, either way up.
-        photographs: of a vehicle, about.
+        width, height: width and height of the published photographs in pixels, either way up.
+        photographs: approximate number of photographs of a vehicle.
     """
 
     title: str
@@ -65,19 +65,21 @@ class IngestSettings:
     """Settings of a set of photographs.
 
     Attributes:
-        licence: of the pictures; of a vehicle whose row names none.
-        source: where they are from, for people.
+        licence: licence of the pictures; also that of a vehicle whose row names none.
+        source: source of the pictures, for people.
         views: photographs of each vehicle.
-        width, height: of every picture in the set, pixels.
-        clockwise: the photographs go around the vehicle clockwise, seen from above.
-        elevation_deg: of the camera, where it was measured.
-        fov_deg: across the width of a photograph, where it was measured; all photographs must then
-            have the shape of the set's pictures.
-        split_seed, held_out_share: decide the split of vehicles whose row names none.
-        duplicate_bits: two pictures whose hashes differ in no more bits are the same one.
-        layout: of the photographs, one of `LAYOUTS`; all but "regular" are walk-arounds.
-        azimuth_within_deg: by which a photograph of a walk-around may be off its azimuth; half of
-            the step between two views where it is None.
+        width, height: width and height of every picture in the set, in pixels.
+        clockwise: whether the photographs go around the vehicle clockwise, seen from above.
+        elevation_deg: elevation of the camera, where it was measured.
+        fov_deg: angle of view across the width of a photograph, where it was measured; all
+            photographs must then have the shape of the set's pictures.
+        split_seed, held_out_share: seed and share that decide the split of vehicles whose row names
+            none.
+        duplicate_bits: number of bits; two pictures whose hashes differ in no more bits are the
+            same one.
+        layout: layout of the photographs, one of `LAYOUTS`; all but "regular" are walk-arounds.
+        azimuth_within_deg: degrees by which a photograph of a walk-around may be off its azimuth;
+            half of the step between two views where it is None.
     """
 
     licence: str
@@ -150,16 +152,16 @@ class VehicleRow(Record):
 
     Attributes:
         id: its name in the set.
-        folder: with its photographs, where it is not named by the id.
+        folder: folder with its photographs, where it is not named by the id.
         kind: body type, such as "sedan".
-        category: as in logs.
-        colour: name.
-        length_m, width_m, height_m: of its box; all or none.
-        distance_m: camera to box centre.
-        split: where it must not be drawn by the hash.
-        source, licence: where they are not those of the set.
-        front: which photograph, counted from 1, shows its front.
-        azimuths_deg: of the photographs, where they were measured.
+        category: category of the vehicle, as in logs.
+        colour: colour name.
+        length_m, width_m, height_m: length, width and height of its box; all or none.
+        distance_m: distance from the camera to the box centre.
+        split: split of the vehicle, where it must not be drawn by the hash.
+        source, licence: source and licence of its pictures, where they are not those of the set.
+        front: number of the photograph, counted from 1, that shows its front.
+        azimuths_deg: azimuths of the photographs, where they were measured.
     """
 
     id: IdentityName

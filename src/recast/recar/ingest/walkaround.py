@@ -36,11 +36,11 @@ def pick_photographs(
     vehicle's folder, or azimuths from its row.
 
     Args:
-        photos: holds a folder for each vehicle.
-        row: names the photograph that shows the front, by its number in natural order.
-        views: of the set.
-        within_deg: by which a photograph may be off.
-        layout: whose published size is looked for.
+        photos: folder that holds a folder for each vehicle.
+        row: row that names the photograph that shows the front, by its number in natural order.
+        views: number of views of the set.
+        within_deg: degrees by which a photograph may be off.
+        layout: layout whose published size is looked for.
 
     Raises:
         InputError: photographs or poses are missing, the front is not named, the cameras do not go
@@ -75,7 +75,7 @@ def around(poses: Array, front: int) -> tuple[Array, Array]:
 
     Args:
         poses: (N, 4, 4) `world_from_camera`, OpenCV.
-        front: index.
+        front: index of the camera at azimuth 0.
 
     Raises:
         ValueError: the cameras lie on a line, or in no plane, or above the vehicle; or their axes

@@ -41,8 +41,8 @@ def convolve(rgba: Image, kernel: Floats, width: float) -> Image:
 
     Args:
         rgba: (H, W, 4) uint8, straight alpha.
-        kernel: (k, k) that sums to 1, k odd.
-        width: of an edge after the blur, pixels.
+        kernel: (k, k) kernel that sums to 1, k odd.
+        width: width of an edge after the blur, in pixels.
     """
     colour, alpha = colour_and_alpha(rgba)
     light = np.dstack([srgb_to_linear(colour) * alpha[..., None], alpha])
@@ -66,7 +66,7 @@ class Defocus(Kind):
     """A lens out of focus, or with a drop of water on it.
 
     Attributes:
-        radius: of the disc at severity 1, over the extent.
+        radius: radius of the disc at severity 1, over the extent.
     """
 
     name: ClassVar[str] = "defocus"
@@ -83,8 +83,8 @@ def line_kernel(length: float, angle: float) -> Floats:
     """Uniform line through the centre.
 
     Args:
-        length: pixels.
-        angle: radians from the picture's x axis.
+        length: length in pixels.
+        angle: angle in radians from the picture's x axis.
     """
     reach = int(np.ceil(length / 2))
     offset = np.arange(-reach, reach + 1)
@@ -104,7 +104,7 @@ class MotionBlur(Kind):
     A vehicle of 4.5 m that passes at 20 m/s during 1/60 s moves by 7 % of its length.
 
     Attributes:
-        length: of the line at severity 1, over the extent.
+        length: length of the line at severity 1, over the extent.
         slope_deg: standard deviation of the line's slope, degrees.
     """
 
@@ -125,7 +125,7 @@ def resample(rgba: Image, scale: float, enlarger: int) -> Image:
 
     Args:
         rgba: (H, W, 4) uint8, straight alpha.
-        scale: of the small picture over this one.
+        scale: scale of the small picture over this one.
         enlarger: OpenCV's interpolation on the way up.
     """
     height, width = rgba.shape[:2]
@@ -160,10 +160,10 @@ def sensor_noise(
     """Shot noise (Poisson) and read noise (Gaussian) of a sensor, in the unit of `light`.
 
     Args:
-        light: linear, 1 fills the well.
-        full_well: electrons at 1.
+        light: linear light; 1 fills the well.
+        full_well: number of electrons at 1.
         read_noise: standard deviation in electrons.
-        rng: of the noise.
+        rng: generator of the noise.
     """
     electrons = np.clip(light, 0, None).astype(np.float64) * full_well
     # Gaussian draws first: how many the Poisson ones take depends on the light.
@@ -178,7 +178,7 @@ class LowLight(Kind):
         stops: halvings of the light at severity 1.
         recovered: share of these stops that the camera's gain brings back, noise and all.
         full_well: electrons of a white pixel by day.
-        read_noise: electrons, standard deviation.
+        read_noise: standard deviation in electrons.
         pixels: lowest and highest extent in sensor pixels, drawn log-uniformly: noise is as
             coarse as on vehicles in logs, also where the picture is larger.
     """
@@ -210,9 +210,9 @@ def koschmieder(light: Floats, transmission: float, airlight: Floats) -> Floats:
     """I = J t + A (1 - t) in linear light, t = exp(-beta d), one depth for the whole object.
 
     Args:
-        light: (H, W, 3) J without fog.
-        transmission: t in [0, 1].
-        airlight: (3,) A.
+        light: (H, W, 3) light J without fog.
+        transmission: transmission t in [0, 1].
+        airlight: (3,) airlight A.
     """
     return light * np.float32(transmission) + airlight * np.float32(1 - transmission)
 
@@ -221,8 +221,9 @@ class Fog(Kind):
     """Fog or haze, and the veil of a dirty windscreen.
 
     Attributes:
-        visibility_m: at severity 1; the density beta = 3.912 / visibility grows with severity.
-        distance_m: nearest and farthest vehicle, drawn uniformly.
+        visibility_m: visibility at severity 1; the density beta = 3.912 / visibility grows with
+            severity.
+        distance_m: distances of the nearest and farthest vehicle, drawn uniformly.
         airlight: darkest and lightest grey of the fog, sRGB.
     """
 
@@ -247,7 +248,7 @@ def through_jpeg(colour: Image, quality: int, corner: tuple[int, int]) -> Image:
 
     Args:
         colour: display colours.
-        quality: Pillow's, 1 to 95.
+        quality: JPEG quality as Pillow counts it, 1 to 95.
         corner: row and column of this picture within a coding unit of the whole one.
     """
     row, column = corner

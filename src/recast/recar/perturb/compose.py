@@ -218,7 +218,7 @@ def write_sheet(rgba: Image, config: PerturbationConfig, seed: int, path: Path) 
     Args:
         rgba: (H, W, 4) uint8, straight alpha.
         config: figures of all kinds; those of weight 0 are shown too.
-        seed: of everything random.
+        seed: seed of everything random.
         path: PNG to write.
 
     Raises:

@@ -56,9 +56,10 @@ class Kind(Record, ABC):
 
         Args:
             rgba: (H, W, 4) uint8, straight alpha; passes `recast.trellis.check_crop`.
-            severity: in [0, 1]; 0 changes next to nothing, 1 as much as the kind's figures say.
-            rng: of all that is random; what is drawn does not depend on the severity, so equal
-                generators give the same fault, weaker or stronger.
+            severity: severity in [0, 1]; 0 changes next to nothing, 1 as much as the kind's figures
+                say.
+            rng: generator of all that is random; what is drawn does not depend on the severity, so
+                equal generators give the same fault, weaker or stronger.
 
         Returns:
             (H, W, 4) uint8, straight alpha; a new array.
@@ -144,10 +145,10 @@ def value_noise(
     """Random field (height, width) float32 with mean about 0 and standard deviation about 1.
 
     Args:
-        height, width: pixels.
+        height, width: height and width in pixels.
         cell: size of its largest lumps, pixels.
-        rng: of the lumps.
-        octaves: each has lumps of half the size and of 0.5 times the strength.
+        rng: generator of the lumps.
+        octaves: number of octaves; each has lumps of half the size and of 0.5 times the strength.
     """
     total, power = np.zeros((height, width), np.float32), 0.0
     for octave in range(octaves):
@@ -167,7 +168,7 @@ def signed_distance(alpha: Floats) -> Floats:
     """Pixels to the nearest pixel across the edge, less a half: positive where alpha > 0.5.
 
     Args:
-        alpha: (H, W) float32 in [0, 1].
+        alpha: (H, W) float32 alpha in [0, 1].
 
     Returns:
         (H, W) float32: 0.5 in the first pixel inside, -0.5 in the first one outside.
@@ -183,8 +184,8 @@ def reveal(rgba: Image, alpha: Floats, behind: Floats) -> Image:
 
     Args:
         rgba: (H, W, 4) uint8, straight alpha.
-        alpha: (H, W) in [0, 1], the new mask.
-        behind: (H, W, 3) in [0, 1], display colours.
+        alpha: (H, W) new mask in [0, 1].
+        behind: (H, W, 3) display colours behind the object, in [0, 1].
 
     Returns:
         (H, W, 4) uint8, straight alpha.
@@ -217,9 +218,10 @@ def backdrop(rgba: Image, box: ObjectBox, rng: np.random.Generator) -> Floats:
     The horizon runs through the upper part of the object, as a car's camera sees other cars.
 
     Args:
-        rgba: (H, W, 4) uint8 of the object; where even its brightest parts are dark, it is dark.
-        box: of the object.
-        rng: of everything random.
+        rgba: (H, W, 4) uint8 picture of the object; where even the object's brightest parts are
+            dark, the backdrop is dark.
+        box: box of the object.
+        rng: generator of everything random.
 
     Returns:
         (H, W, 3) float32 display colours in [0, 1].
@@ -250,8 +252,8 @@ def segmented(alpha: Floats, width: float) -> Floats:
     """Sharpen a blurred coverage about one half, as segmenters cut sharply through any blur.
 
     Args:
-        alpha: (H, W) in [0, 1], blurred.
-        width: of the blurred edge, pixels; up to 1 the mask stays as it is.
+        alpha: (H, W) blurred alpha in [0, 1].
+        width: width of the blurred edge, in pixels; up to 1 the mask stays as it is.
 
     Returns:
         (H, W) in [0, 1] with edges about a pixel wide.

@@ -76,7 +76,7 @@ class Holes(Kind):
     """Lumps that are missing, the dark parts (glass, tyres, arches) before the others.
 
     Attributes:
-        share: of the object's area at severity 1.
+        share: share of the object's area that is missing at severity 1.
         darkness: weight of a pixel's darkness against that of chance.
     """
 
@@ -107,7 +107,7 @@ class Jagged(Kind):
     """Square steps along the edge; some of the object is lost and some background comes in.
 
     Attributes:
-        cell: of the grid at severity 1, over the extent.
+        cell: size of a cell of the grid at severity 1, over the extent.
     """
 
     name: ClassVar[str] = "jagged"
@@ -133,7 +133,7 @@ class Leak(Kind):
     """Background that counts as object.
 
     Attributes:
-        radius: of a lump at severity 1, over the extent.
+        radius: radius of a lump at severity 1, over the extent.
         shadow: chance that the vehicle's shadow leaks in too, as in many logs.
     """
 

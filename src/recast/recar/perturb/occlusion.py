@@ -96,8 +96,8 @@ def occlude(rgba: Image, coverage: Floats, colour: Floats, fringe: float) -> Ima
 
     Args:
         rgba: (H, W, 4) uint8, straight alpha.
-        coverage: (H, W) in [0, 1] of the occluder.
-        colour: (3,) of the occluder, sRGB in [0, 1].
+        coverage: (H, W) coverage by the occluder, in [0, 1].
+        colour: (3,) colour of the occluder, sRGB in [0, 1].
         fringe: width of the occluder's edge that is taken for the object, pixels.
 
     Returns:
@@ -160,7 +160,7 @@ class Pole(Kind):
     """An upright band from top to bottom, somewhere across the object.
 
     Attributes:
-        width: at severity 1, over the extent.
+        width: width of the band at severity 1, over the extent.
         lean_deg: standard deviation of its slope, degrees.
         fringe: widest edge that the mask keeps, over the extent.
     """
@@ -208,7 +208,7 @@ class OtherVehicle(Kind):
 
     Attributes:
         cover: share of the object's width that it has passed at severity 1.
-        height: lowest and highest occluder over the object's height, drawn uniformly.
+        height: lowest and highest height of the occluder over the object's height, drawn uniformly.
         fringe: widest edge that the mask keeps, over the extent.
     """
 

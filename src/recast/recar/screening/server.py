@@ -128,8 +128,8 @@ class ScreeningServer(WebServer):
     """Serves one cache on 127.0.0.1 until `should_exit` is set.
 
     Args:
-        service: of the cache.
-        port: 0 takes any that is free, see `url`.
+        service: screening service of the cache.
+        port: port number; 0 takes any that is free, see `url`.
 
     Raises:
         InputError: the port is taken, or may not be used.

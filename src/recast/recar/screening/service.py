@@ -40,7 +40,7 @@ class Filter:
     """What is shown.
 
     Attributes:
-        show: by decision.
+        show: targets to show, by their decision.
         lowest, highest: bounds of the score, both included; targets without a score pass where
             neither is given.
     """
@@ -73,7 +73,7 @@ class Catalogue:
     decisions made on the way, which change what a filter shows, neither skip nor repeat any.
 
     Args:
-        entries: in any order; ids are unique.
+        entries: entries in any order; their ids are unique.
     """
 
     def __init__(self, entries: Iterable[Entry]) -> None:
@@ -161,7 +161,7 @@ class RefusedError(ValueError):
     """A request that cannot be answered.
 
     Attributes:
-        status: of HTTP.
+        status: HTTP status.
         answer: what the page needs to go on.
     """
 
@@ -175,8 +175,8 @@ class ScreeningService:
     """One cache on the page.
 
     Args:
-        cache: may still be in the making; what it holds now is screened.
-        pictures: the set it was made from, for the input views; None shows none.
+        cache: cache to screen; it may still be in the making: what it holds now is screened.
+        pictures: set that the cache was made from, for the input views; None shows none.
 
     Raises:
         InputError: the cache has no target, or is of another set than `pictures`.
@@ -227,8 +227,8 @@ class ScreeningService:
         """Targets in an order: those after one, those before one, or the one at an id.
 
         Args:
-            query: one of `after`, `before` and `at`, or none for the first; `order`, `limit` and
-                the members of a filter.
+            query: query with one of `after`, `before` and `at`, or none for the first; with
+                `order`, `limit` and the members of a filter.
         """
         order, wanted = _order(query), _filter(query)
         limit = min(max(int(_number(query, "limit") or 40), 1), MOST_ITEMS)

@@ -42,11 +42,11 @@ class ShardRecord(Record):
     """One shard in index.json.
 
     Attributes:
-        file: name of the tar.
-        split: of all identities in it.
-        bytes, sha256: of the tar.
-        members_sha256: of the list of its members.
-        identities: in the order in which they lie in it.
+        file: file name of the tar.
+        split: split of all identities in it.
+        bytes, sha256: size in bytes and SHA-256 of the tar.
+        members_sha256: SHA-256 of the list of its members.
+        identities: identities in the order in which they lie in it.
     """
 
     file: Annotated[str, Field(pattern=r"^shard-[0-9]{6,}\.tar$")]
@@ -62,10 +62,10 @@ class IndexRecord(Record):
 
     Attributes:
         complete: False while shards are still being written.
-        shard_bytes: that no shard exceeds, unless one identity alone does.
+        shard_bytes: size in bytes that no shard exceeds, unless one identity alone does.
         set: set.json of the set that was packed.
         identities, pictures, bytes: counts over all shards.
-        shards: the training ones first.
+        shards: records of the shards, the training ones first.
     """
 
     format: Literal["recast-vehicle-shards"] = "recast-vehicle-shards"

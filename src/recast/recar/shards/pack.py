@@ -64,8 +64,9 @@ def plan_shards(vehicle_set: VehicleSet, shard_bytes: int) -> list[PlannedShard]
     and one number is kept of each identity.
 
     Args:
-        vehicle_set: in folders.
-        shard_bytes: that a shard may have; an identity that alone takes more has its own.
+        vehicle_set: set in folders.
+        shard_bytes: most bytes that a shard may have; an identity that alone takes more has its own
+            shard.
 
     Raises:
         InputError: a file is missing.
@@ -114,9 +115,9 @@ def pack_set(
     mends a damaged shard. The same set and `shard_bytes` always give the same bytes.
 
     Args:
-        vehicle_set: complete, in folders.
-        out: folder; new, empty, or shards of the same set and size.
-        shard_bytes: that a shard may have, see `plan_shards`.
+        vehicle_set: complete set, in folders.
+        out: output folder; new, empty, or shards of the same set and size.
+        shard_bytes: most bytes that a shard may have, see `plan_shards`.
         progress: called with pictures done and all pictures.
 
     Raises:
@@ -263,7 +264,7 @@ def parse_byte_size(text: str, option: str) -> int:
 
     Args:
         text: number and unit.
-        option: that the user gave it as, for the message.
+        option: option with which the user gave the size, for the message.
 
     Raises:
         InputError: no such unit, less than one byte, or 2^63 and more.

@@ -157,11 +157,11 @@ def stream_identities(
     """All identities once, read with one request each in the order in which they lie.
 
     Args:
-        sharded_set: opened.
-        split: only this one; both where it is None.
-        rng: shuffles the shards, then identities among the `buffer` that are in memory; None keeps
-            the order of the shards.
-        buffer: identities in memory; one of the paper's set is some 15 MB.
+        sharded_set: set that was opened.
+        split: split to read; both where it is None.
+        rng: generator that shuffles the shards, then identities among the `buffer` that are in
+            memory; None keeps the order of the shards.
+        buffer: number of identities in memory; one of the paper's set is some 15 MB.
         part: (rank, ranks): of several readers whose `rng` are equal, each takes its own
             identities and reads no others; their numbers differ by at most one.
         on_bad: called for each identity that cannot be read, which is then skipped; None raises.
@@ -228,7 +228,7 @@ def read_shards(folder: str | Path, on_bad: OnBad | None = None) -> ShardedSet:
     """Open a folder of shards: index.json is read, and the size of each shard looked at.
 
     Args:
-        folder: of the shards.
+        folder: folder of the shards.
         on_bad: called for each shard that is missing or of a wrong size, whose identities are then
             left out as far as they cannot be read; None raises.
 

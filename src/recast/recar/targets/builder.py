@@ -179,12 +179,14 @@ class TargetStatistics:
     Attributes:
         done: vehicles with a record.
         failures: reasons with how often, the most frequent first.
-        rejected: by a person.
-        below: not rejected, below the threshold.
-        accepted: by split.
-        doubtful: targets nobody decided about that score higher with front and rear exchanged.
-        voxels: least, median and most of accepted targets; zeros where there is none.
-        scores: of all targets that have one, sorted.
+        rejected: number of targets rejected by a person.
+        below: number of targets that are not rejected, but below the threshold.
+        accepted: numbers of accepted targets, by split.
+        doubtful: number of targets nobody decided about that score higher with front and rear
+            exchanged.
+        voxels: least, median and greatest number of voxels of accepted targets; zeros where there
+            is none.
+        scores: scores of all targets that have one, sorted.
     """
 
     done: int

@@ -123,10 +123,10 @@ class TargetCache:
     """Targets of the vehicles of a set.
 
     Attributes:
-        folder: where it lies.
-        record: cache.json.
-        records: of the vehicles that are done, by id, sorted when it was opened.
-        decisions: of a person, by id.
+        folder: folder of the cache.
+        record: contents of cache.json.
+        records: records of the vehicles that are done, by id, sorted when the cache was opened.
+        decisions: decisions of a person, by id.
     """
 
     folder: Path
@@ -139,8 +139,8 @@ class TargetCache:
         """Read the records of a cache; latents are read when asked for.
 
         Args:
-            folder: of the cache.
-            complete: refuse one in the making.
+            folder: folder of the cache.
+            complete: whether to refuse one in the making.
 
         Raises:
             InputError: no such cache, one in the making, or a JSON file that is wrong.
@@ -171,8 +171,9 @@ class TargetCache:
         """Vehicles that have a target, sorted.
 
         Args:
-            split: only of this one.
-            accepted_only: leave out what a person rejected and what is below the threshold.
+            split: split of the vehicles; None takes all.
+            accepted_only: whether to leave out what a person rejected and what is below the
+                threshold.
         """
         return tuple(
             one.id
@@ -230,9 +231,9 @@ class TargetCache:
         """Add a vehicle; its record comes last, so that a kill leaves it either done or to do.
 
         Args:
-            record: of the vehicle.
-            target: None where there is none.
-            preview: contact sheet, PNG.
+            record: record of the vehicle.
+            target: target of the vehicle; None where there is none.
+            preview: contact sheet as a PNG.
 
         Raises:
             ValueError: record and target do not agree.

@@ -54,14 +54,15 @@ class TargetSettings(Record):
     """How targets are made; the defaults are the paper's, where it says something.
 
     Attributes:
-        seed: from which the seed of every vehicle is derived.
-        mode: of the multi-image pipeline.
-        structure, latent: samplers; None takes those of the checkpoint.
-        retries: further seeds for a structure that is empty or too large.
-        max_voxels: more of them are too many; None takes 8 R^2, the published limit.
-        heading: where vehicles of the model look: along +x, as those of models that were trained so
-            do, and a target that does not is one that failed; or any way, as those of the published
-            ones, which is then found by the pictures.
+        seed: seed from which the seed of every vehicle is derived.
+        mode: mode of the multi-image pipeline.
+        structure, latent: samplers of structure and latents; None takes those of the checkpoint.
+        retries: number of further seeds for a structure that is empty or too large.
+        max_voxels: most voxels of a structure, more of them are too many; None takes 8 R^2, the
+            published limit.
+        heading: direction in which vehicles of the model look: along +x, as those of models that
+            were trained so do, and a target that does not is one that failed; or any way, as those
+            of the published ones, which is then found by the pictures.
         filter: quality filter.
     """
 
@@ -88,8 +89,8 @@ class ModelRecord(Record):
     """The model that made the targets.
 
     Attributes:
-        name: of its folder; the targets lie in folders of that name.
-        sha256: of its files, see `model_hash`.
+        name: name of its folder; the targets lie in folders of that name.
+        sha256: SHA-256 of its files.
         resolution: R voxels a side of the decoded structure.
         latent_mean, latent_std: its normalisation of structured latents, one value a channel; the
             cache holds them raw.
@@ -125,15 +126,15 @@ class CacheRecord(Record):
         model: what made the targets.
         mode: how the views were used.
         views_deg: azimuths of the pictures that were used, in the order of `VIEWS_DEG`.
-        structure_sampler, latent_sampler: as they ran.
-        seed: from which each vehicle's seed is derived.
-        retries: further seeds for a structure that is empty or too large.
-        max_voxels: more of them are too many.
-        heading: where vehicles of the model look, see `TargetSettings`; +x of caches that do not
-            say, which assumed it.
+        structure_sampler, latent_sampler: samplers of structure and latents, as they ran.
+        seed: seed from which each vehicle's seed is derived.
+        retries: number of further seeds for a structure that is empty or too large.
+        max_voxels: most voxels of a structure; more of them are too many.
+        heading: direction in which vehicles of the model look, see `TargetSettings`; +x of caches
+            that do not say, which assumed it.
         filter: the quality filter.
-        identities, failures: vehicles with a record, and those of them without a target; None
-            while targets are being made.
+        identities, failures: number of vehicles with a record, and of those among them without
+            a target; None while targets are being made.
     """
 
     format: Literal["recast-target-cache"] = "recast-target-cache"
@@ -159,14 +160,14 @@ class TargetRecord(Record):
 
     Attributes:
         kind, colour: labels of the vehicle, for people.
-        seed: the one that made the target, after retries; of the first try where it failed.
-        voxels: active ones; 0 where it failed.
-        gaussians: decoded; 0 where it failed.
-        score: of the quality filter; None where there is none, or it failed.
+        seed: seed that made the target, after retries; that of the first try where it failed.
+        voxels: number of active voxels; 0 where it failed.
+        gaussians: number of decoded Gaussians; 0 where it failed.
+        score: score of the quality filter; None where there is none, or it failed.
         score_flipped: score with front and rear exchanged, where the score can tell.
         parts: what the score is made of, by name.
         heading_deg: direction of its front, about z from +x; None where it was not searched.
-        failure: why there is no target; None where there is one.
+        failure: reason why there is no target; None where there is one.
     """
 
     version: int = CACHE_VERSION
@@ -189,9 +190,10 @@ class ModelSource:
     """A model folder in the published layout; every process loads a model of its own from it.
 
     Attributes:
-        folder: with pipeline.json and ckpts/.
+        folder: folder with pipeline.json and ckpts/.
         image_encoder: weights of the published image encoder, where the folder has none.
-        device: None takes CUDA where there is some, one device a process in turn.
+        device: device to compute on; None takes CUDA where there is some, one device a process in
+            turn.
     """
 
     folder: Path

@@ -33,10 +33,10 @@ class Change(Record):
     """One key press.
 
     Attributes:
-        id: the target.
-        before, after: its decision; None where it had none, or lost it.
-        time: when, UTC.
-        undo: it took back the last change that was not taken back yet.
+        id: id of the target.
+        before, after: decision about it before and after; None where it had none, or lost it.
+        time: time of the change, UTC.
+        undo: whether it took back the last change that was not taken back yet.
     """
 
     id: IdentityName
@@ -50,7 +50,8 @@ class ScreeningRecord(Record):
     """Contents of screening.json.
 
     Attributes:
-        decisions: what counts, by id; may be written by hand or by a script, without a history.
+        decisions: decisions that count, by id; may be written by hand or by a script, without a
+            history.
         history: every change in order of time, those that were taken back and the undoing too, so
             that any number of them can be undone by a later session.
     """
@@ -122,7 +123,7 @@ class Screening:
     have written, behind a lock that the system drops when a process is killed.
 
     Args:
-        folder: of the cache. Without a file in it nothing is decided yet.
+        folder: folder of the cache. Without a file in it nothing is decided yet.
 
     Raises:
         InputError: screening.json is broken, or of another format or version.
@@ -177,9 +178,9 @@ class Screening:
         """Decide about a target; again the same decision changes nothing.
 
         Args:
-            name: its id.
+            name: id of the target.
             decision: "accept" or "reject".
-            revision: that the decider last saw; None decides whatever others did.
+            revision: revision that the decider last saw; None decides whatever others did.
 
         Raises:
             InputError: no such target or decision, or the disk is full; nothing was changed.
@@ -202,7 +203,7 @@ class Screening:
         """Take back the last change that was not taken back yet, of this or an earlier session.
 
         Args:
-            revision: that the decider last saw; None undoes whatever others did.
+            revision: revision that the decider last saw; None undoes whatever others did.
 
         Returns:
             The change that was taken back; None where there was none left.

@@ -56,8 +56,8 @@ class VehicleTask:
 
     Attributes:
         id, split, kind, colour: see `TargetRecord`.
-        views: front, rear, left, right; fewer where one could not be read.
-        failure: why there is nothing to do.
+        views: front, rear, left and right view; fewer where one could not be read.
+        failure: reason why there is nothing to do.
     """
 
     id: str

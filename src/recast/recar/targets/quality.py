@@ -69,9 +69,10 @@ class Candidate:
 
     Attributes:
         target: its latents and voxels.
-        gaussians: decoded, in the unit cube.
-        pictures: front, rear, left, right that it was made from; RGBA with straight alpha.
-        viewpoints: where they were taken from, azimuth 0 ahead of the vehicle.
+        gaussians: decoded Gaussians, in the unit cube.
+        pictures: front, rear, left and right picture that it was made from; RGBA with straight
+            alpha.
+        viewpoints: viewpoints of these pictures, azimuth 0 ahead of the vehicle.
         heading_deg: direction of the vehicle's front in the frame of the target, 0 along +x.
     """
 
@@ -87,7 +88,7 @@ class Quality:
     """What a score says; more is better.
 
     Attributes:
-        score: of the target.
+        score: score of the target.
         flipped: score with front and rear exchanged; None where the score cannot tell.
         parts: what the score is made of, by name.
     """
@@ -101,7 +102,7 @@ class QualityScore(Protocol):
     """A way to judge targets.
 
     Attributes:
-        name: under which scores are recorded.
+        name: name under which scores are recorded.
         threshold: least score of a target that is used, where the user names none.
     """
 
@@ -235,8 +236,8 @@ class AestheticScore:
     published one has dropouts between them, and no activations.
 
     Args:
-        embedding: from pictures to (N, 768) image embeddings of CLIP.
-        network: the chain.
+        embedding: function from pictures to (N, 768) image embeddings of CLIP.
+        network: chain of linear layers.
     """
 
     name = "improved-aesthetic-predictor"

@@ -74,9 +74,10 @@ class Viewpoint:
     """Where a picture was taken from, in units of the vehicle's longest side.
 
     Attributes:
-        azimuth_deg, elevation_deg: of the camera; 0 degrees ahead, 90 to the left.
+        azimuth_deg, elevation_deg: azimuth and elevation of the camera; 0 degrees ahead, 90 to the
+            left.
         fov_deg: angle of view across the picture.
-        distance: from the middle of the vehicle.
+        distance: distance from the middle of the vehicle.
     """
 
     azimuth_deg: float
@@ -126,7 +127,7 @@ class Cutout:
     """A square picture of a vehicle.
 
     Attributes:
-        rgb: (S, S, 3) float32 in [0, 1], times alpha: on black.
+        rgb: (S, S, 3) float32 colours in [0, 1], times alpha: on black.
         alpha: (S, S) float32 in [0, 1].
     """
 
@@ -204,8 +205,8 @@ def framed(cutout: Cutout, pixels: int) -> Cutout:
     """The square around the vehicle at a scale of its own, so that size and place do not matter.
 
     Args:
-        cutout: of any size; empty ones stay as they are.
-        pixels: side of the result.
+        cutout: cutout of any size; empty ones stay as they are.
+        pixels: side of the result in pixels.
     """
     rows, columns = np.nonzero(cutout.mask)
     if len(rows) == 0:
@@ -239,9 +240,9 @@ def find_heading(
     is then alike too.
 
     Args:
-        gaussians: the target, in the unit cube, z up.
-        pictures: the vehicle, RGBA with straight alpha.
-        viewpoints: where the pictures were taken from, azimuth 0 ahead of the vehicle.
+        gaussians: Gaussians of the target, in the unit cube, z up.
+        pictures: pictures of the vehicle, RGBA with straight alpha.
+        viewpoints: viewpoints that the pictures were taken from, azimuth 0 ahead of the vehicle.
     """
     wanted = [framed(of_picture(picture), _PIXELS) for picture in pictures]
 

@@ -76,9 +76,9 @@ def assemble(
     Args:
         assets: folder of training assets.
         parts: folders of the trainings "structure", "latent" and "image".
-        model: to be made.
-        cache: to be made; one that was begun is finished.
-        seed: of the latent flow's weights.
+        model: model folder to be made.
+        cache: target cache to be made; one that was begun is finished.
+        seed: seed of the latent flow's weights.
         progress: called with the number of assets encoded, and of all.
 
     Raises:

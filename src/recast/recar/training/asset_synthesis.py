@@ -37,9 +37,9 @@ class AssetsRecord(Record):
     """What all assets of a folder share, as written to `assets.json`.
 
     Attributes:
-        seed: of everything random; asset i depends on seed and i alone.
-        shape_every: every n-th asset is another shape than a vehicle, 0 none.
-        resolution: voxels a side.
+        seed: seed of everything random; asset i depends on seed and i alone.
+        shape_every: number n; every n-th asset is another shape than a vehicle, 0 none.
+        resolution: number of voxels a side.
         crops, around, pixels: pictures of each, see `sample_views`.
     """
 
@@ -194,7 +194,7 @@ class AssetView:
     """One camera.
 
     Attributes:
-        focal: pixels.
+        focal: focal length in pixels.
         pose: (4, 4) `asset_from_camera`, unit cube.
     """
 
@@ -208,7 +208,7 @@ def sample_views(
     """Cameras that see the whole asset, azimuths spread evenly with a random start.
 
     Args:
-        extents: (3,) of the asset in the unit cube.
+        extents: (3,) extents of the asset in the unit cube.
         crops: cameras as on a car: 0 to 15 degrees above the horizon, through lenses of 10 to 45
             degrees.
         around: cameras anywhere from 10 degrees below to 75 above, of 40 degrees, to learn shape
@@ -236,11 +236,11 @@ def voxelise(
     """Bin points of a surface into a grid over the unit cube.
 
     Args:
-        points: (N, 3) in [-0.5, 0.5]; those outside are left out.
+        points: (N, 3) points in [-0.5, 0.5]; those outside are left out.
         colours: (N, 3) display values in [0, 1].
-        normals: (N, 3) unit.
+        normals: (N, 3) unit normals.
         resolution: R voxels a side.
-        least: points that make a voxel occupied; lonely ones are often rounding.
+        least: number of points that make a voxel occupied; lonely ones are often rounding.
 
     Returns:
         Coordinates (T, 3), lexicographic, and features (T, 17), see `assets.FEATURES`.

@@ -31,15 +31,15 @@ class TrainingAsset:
     """One asset.
 
     Attributes:
-        kind: of the vehicle or shape.
+        kind: kind of the vehicle or shape.
         size: (3,) extents in the unit cube before the asset was centred, longest 1.
         coords: (T, 3) uint8 voxels of the visible surface, lexicographic.
         features: (T, 17) float16, see `FEATURES`; colours and normals in [-1, 1], the centroid in
             voxels from its centre, sub-voxels 0 or 1.
         pictures: (V, S, S, 4) uint8 RGBA with straight alpha.
         poses: (V, 4, 4) float32 `camera_from_asset`.
-        focal: (V,) float32 pixels; the principal point is the middle.
-        crops: how many of the pictures, the first ones, look as a car's camera would.
+        focal: (V,) float32 focal lengths in pixels; the principal point is the middle.
+        crops: number of pictures, the first ones, that look as a car's camera would see them.
     """
 
     kind: str
@@ -118,7 +118,7 @@ class AssetStore:
     """Assets by number, read when asked for.
 
     Args:
-        folder: with `asset-*.npz`.
+        folder: folder with `asset-*.npz`.
 
     Raises:
         InputError: no assets there.

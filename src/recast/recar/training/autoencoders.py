@@ -28,10 +28,10 @@ class StructureAutoencoderTask:
     minutes quicker. A mirror image across the vehicle's middle plane is as good an example.
 
     Attributes:
-        encoder, decoder: trained.
-        store: assets.
-        indices: of those to train on.
-        resolution: voxels a side.
+        encoder, decoder: networks that are trained.
+        store: store of the assets.
+        indices: numbers of the assets to train on.
+        resolution: number of voxels a side.
         batch: assets a step.
         divergence: weight of the divergence, mean over latent values.
     """
@@ -91,9 +91,9 @@ class LatentAutoencoderTask:
     that holes and halos are seen. The published loss has LPIPS instead of the alpha term.
 
     Attributes:
-        encoder, decoder: trained.
-        store: assets.
-        indices: of those to train on.
+        encoder, decoder: networks that are trained.
+        store: store of the assets.
+        indices: numbers of the assets to train on.
         views: pictures a step, of one asset.
         divergence: weight of the divergence; small, the flow wants information more than a normal.
     """
@@ -164,7 +164,7 @@ class ViewHeads(nn.Module):
     sides (18,); the others each the mean colour (3,) of the pixels they stand for.
 
     Args:
-        channels: of a token.
+        channels: number of channels of a token.
     """
 
     def __init__(self, channels: int) -> None:
@@ -193,7 +193,7 @@ class ImageExamples:
         crops: (N, V, S, S, 3) uint8, V pictures of N assets as `crop_to_object` gives them.
         structures: (N, C, r, r, r) float32 structure latents.
         azimuths: (N, V) float32 radians of the cameras in the asset frame.
-        extents: (N, 3) float32 of the assets, longest 1.
+        extents: (N, 3) float32 extents of the assets, longest 1.
         sides: (N, 18) float32 mean colours of their six sides, see `side_colours`.
     """
 
@@ -215,11 +215,12 @@ class ImageEncoderTask:
     squared error of the structure latent, azimuth, extents and colours.
 
     Attributes:
-        encoder, reader, heads: trained; the reader is called with no noise at time 0.
+        encoder, reader, heads: networks that are trained; the reader is called with no noise at
+            time 0.
         examples: see `ImageExamples`.
         indices: assets to train on.
         batch: pictures a step, each of another asset.
-        deviation: of the structure latents; their error is measured in it.
+        deviation: standard deviation of the structure latents; their error is measured in it.
     """
 
     encoder: CompactImageEncoder

@@ -46,7 +46,7 @@ class SetConditions:
     """The views of a vehicle set's identities, in folders or in shards.
 
     Args:
-        identities: of the set, by id.
+        identities: identities of the set, by id.
     """
 
     def __init__(self, identities: Mapping[str, IdentitySource]) -> None:
@@ -75,7 +75,7 @@ class AssetConditions:
 
     Args:
         paths: files of assets; their stems are the identities.
-        read: for tests.
+        read: function that reads an asset file; for tests.
     """
 
     def __init__(
@@ -148,8 +148,8 @@ def balanced_parts(loads: Sequence[int], parts: int) -> list[list[int]]:
     longest processing time first); no part stays empty.
 
     Args:
-        loads: of each sample, above zero.
-        parts: at most as many as samples.
+        loads: load of each sample, above zero.
+        parts: number of parts; at most as many as samples.
 
     Returns:
         Indices of the samples of each part, ascending.
@@ -185,10 +185,11 @@ class ConditionTokens:
 
     Attributes:
         encoder: turns crops into tokens.
-        source: of the pictures.
-        device: of the encoder.
-        frozen: encode without gradients.
-        kept_bytes: of tokens kept; nothing is dropped, what comes later is encoded each time.
+        source: source of the pictures.
+        device: device of the encoder.
+        frozen: whether to encode without gradients.
+        kept_bytes: most bytes of tokens kept; nothing is dropped, what comes later is encoded each
+            time.
     """
 
     encoder: ImageEncoder

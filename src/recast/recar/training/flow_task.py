@@ -94,8 +94,8 @@ class LatentFlow:
     """Structured latents on the voxels of the target, normalised as the checkpoint says.
 
     Attributes:
-        model: the network.
-        mean, std: (C,) of the checkpoint.
+        model: network of the flow.
+        mean, std: (C,) mean and standard deviation of the latents, as the checkpoint gives them.
     """
 
     model: SLatFlowModel
@@ -129,15 +129,15 @@ class FlowTask:
     accumulated or go to other processes, balanced by voxels.
 
     Attributes:
-        flow: what is trained.
-        targets: the cache.
-        identities: those to train on; each has pictures.
-        tokens: of the conditions.
+        flow: flow that is trained.
+        targets: cache of targets.
+        identities: vehicles to train on; each has pictures.
+        tokens: tokens of the conditions.
         objective: batch, times, dropping.
-        perturb: alters the picture of a condition; None leaves all clean.
+        perturb: function that alters the picture of a condition; None leaves all clean.
         clean_share: probability rho that a condition is left clean all the same.
-        encoder: trained with the flow under the name "image_encoder"; its tokens then carry
-            gradients.
+        encoder: encoder that is trained with the flow under the name "image_encoder"; its tokens
+            then carry gradients.
 
     Raises:
         InputError: fewer than two identities.
@@ -221,9 +221,9 @@ class ConditionGap:
     a gap of zero. Small flows fall into that for good, so it is watched from the start.
 
     Args:
-        task: whose flow is measured.
-        tokens: of held-out pictures.
-        identities: at least two.
+        task: task whose flow is measured.
+        tokens: tokens of held-out pictures.
+        identities: held-out vehicles, at least two.
     """
 
     def __init__(self, task: FlowTask, tokens: ConditionTokens, identities: Sequence[str]) -> None:

@@ -40,8 +40,8 @@ class Processes:
     weights. The first one alone writes files.
 
     Attributes:
-        index, count: of this process, and of all.
-        device: where this process computes; None leaves that to the caller.
+        index, count: index of this process, and number of all processes.
+        device: device on which this process computes; None leaves that to the caller.
     """
 
     index: int = 0
@@ -129,14 +129,14 @@ def train(
     two processes that accumulate once train as one process that accumulates twice, up to rounding.
 
     Args:
-        task: what is trained.
-        settings: how.
-        folder: of the checkpoint and of `log.jsonl`, one line each `log_every` steps.
-        watch: called with step and mean logs where a line is written.
-        probe: gives further values for each line, measured just before it is written.
-        after_step: called after every step, before its checkpoint is written.
-        processes: this one among those that train together. `watch`, `probe` and `after_step` are
-            called in the first one only.
+        task: task to train.
+        settings: settings of the training.
+        folder: folder of the checkpoint and of `log.jsonl`, one line each `log_every` steps.
+        watch: function called with step and mean logs where a line is written.
+        probe: function that gives further values for each line, measured just before it is written.
+        after_step: function called after every step, before its checkpoint is written.
+        processes: place of this process among those that train together. `watch`, `probe` and
+            `after_step` are called in the first one only.
 
     Raises:
         InputError: the folder holds another training, another process trains there, or the loss

@@ -69,9 +69,9 @@ class FlowRecord(Record):
     """One flow of a stage.
 
     Attributes:
-        steps: done.
-        parameters: trained.
-        seconds: of wall time over all log lines, evaluation and sheets included.
+        steps: number of steps done.
+        parameters: number of trained parameters.
+        seconds: seconds of wall time over all log lines, evaluation and sheets included.
         last: means of the last log line.
     """
 
@@ -85,12 +85,12 @@ class StageInputs(Record):
     """What a stage was trained from; a resumed one must be from the same.
 
     Attributes:
-        config: of the stage.
+        config: configuration of the stage.
         model, targets, pictures: names of the folders, for people.
-        model_sha256: of `pipeline.json` and all model files.
-        targets_sha256: of `cache.json`, all records and the decisions of a person.
-        pictures_sha256: of the records of a set or of its shards, or of all assets.
-        train, held_out: vehicles that were used.
+        model_sha256: SHA-256 of `pipeline.json` and all model files.
+        targets_sha256: SHA-256 of `cache.json`, all records and the decisions of a person.
+        pictures_sha256: SHA-256 of the records of a set or of its shards, or of all assets.
+        train, held_out: number of vehicles that were used, for training and held out.
     """
 
     model_config = ConfigDict(protected_namespaces=())
@@ -112,14 +112,15 @@ class TrainingRecord(Record):
     Attributes:
         complete: False while the stage is in training.
         inputs: what it was trained from.
-        weights: which weights the new model holds.
-        unscreened: targets that were trained on though no person had decided about them; None
-            where there was nothing to screen, such as for training assets, and in older records.
-        flows: what each cost.
-        processes: that trained together, last time.
-        device: that trained.
+        weights: kind of weights that the new model holds.
+        unscreened: number of targets that were trained on though no person had decided about them;
+            None where there was nothing to screen, such as for training assets, and in older
+            records.
+        flows: cost of each flow.
+        processes: number of processes that trained together, last time.
+        device: device that trained.
         peak_bytes: most memory in use, last time; of the accelerator, or of the first process.
-        torch, python: versions.
+        torch, python: versions of PyTorch and Python.
     """
 
     format: Literal["recast-training"] = "recast-training"

@@ -108,12 +108,12 @@ class StageSheets:
     """Draws a sheet after every so many steps, with the weights that would be written then.
 
     Args:
-        model: whose flow is in training.
+        model: model whose flow is in training.
         targets: cache of targets.
         identities: held-out vehicles, a row each.
-        tokens: of their pictures.
-        stem: of the files: path without the step.
-        every: steps between sheets.
+        tokens: tokens of their pictures.
+        stem: stem of the files: path without the step.
+        every: number of steps between sheets.
         average: whether the moving average is what is written.
     """
 

@@ -47,7 +47,8 @@ def train_stage(
     any moment, the same call continues, and ends in the same bytes.
 
     Args:
-        processes: this one among those that train together; those of torchrun where not given.
+        processes: place of this process among those that train together; that of torchrun where not
+            given.
 
     Returns:
         Flows of the stage that are still to be trained, where only some were asked for; the model

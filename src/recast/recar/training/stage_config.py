@@ -23,7 +23,8 @@ class FlowObjective(Record):
     Attributes:
         batch: vehicles a step, over all processes and accumulated parts together.
         condition_drop: probability for a sample to lose its condition.
-        time_mean, time_std: of the normal numbers whose logistic function gives the times.
+        time_mean, time_std: mean and standard deviation of the normal numbers whose logistic
+            function gives the times.
         sigma_min: noise left at t = 0.
         autocast: compute in this type on CUDA, with weights, moments and averages in float32; a
             CPU computes in float32 in any case.
@@ -41,20 +42,21 @@ class StageConfig(Record):
     """One stage.
 
     Attributes:
-        name: for people.
-        structure, latent: how each flow is trained; None leaves it as it is.
-        objective: of both.
-        perturbation: alters the pictures of conditions; {} in a file takes all defaults, None
-            leaves all clean.
+        name: name for people.
+        structure, latent: settings with which each flow is trained; None leaves it as it is.
+        objective: objective of both flows.
+        perturbation: perturbation of the pictures of conditions; {} in a file takes all defaults,
+            None leaves all clean.
         train_encoder: train the image encoder together with the structure flow, instead of
             keeping it frozen; for small models, whose encoder nothing has trained before.
         checkpointing: recompute activations in the backward pass to save memory.
-        weights: what is written into the new model: the moving average, or the latest weights.
+        weights: weights that are written into the new model: the moving average, or the latest
+            weights.
         token_memory_mib: bound on the tokens of clean pictures that are kept in memory.
-        probe: held-out vehicles on which the gap between true and shuffled conditions is measured
-            with every line of the log; 0 for none.
-        sheet_every: steps between sample sheets; 0 for none.
-        sheet_vehicles: held-out vehicles on them.
+        probe: number of held-out vehicles on which the gap between true and shuffled conditions is
+            measured with every line of the log; 0 for none.
+        sheet_every: number of steps between sample sheets; 0 for none.
+        sheet_vehicles: number of held-out vehicles on them.
     """
 
     name: str
@@ -184,8 +186,8 @@ def chosen_stage(stage: str | None, file: Path | None) -> StageConfig:
     """The stage that a command names, or a file; exactly one of them.
 
     Args:
-        stage: one of `COMMAND_NAMES`.
-        file: see `read_stage_config`.
+        stage: name of the stage, one of `COMMAND_NAMES`.
+        file: file of the stage, see `read_stage_config`.
 
     Raises:
         InputError: none or both are given, or the file is wrong.

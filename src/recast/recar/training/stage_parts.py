@@ -32,16 +32,16 @@ class StageRequest:
     """What is trained, from what, into which folder.
 
     Attributes:
-        config: of the stage.
+        config: configuration of the stage.
         model: folder in the published layout that training starts from.
         targets: cache of targets.
         pictures: vehicle set, or folder of training assets.
         out: folder of the new model; one of the same training is continued.
         image_encoder: weights of the published encoder, where `model` has none.
-        device: such as "cuda:0"; None takes CUDA where there is some.
-        tensorboard: also write curves into OUT/tensorboard.
-        flows: trained now; all of the stage where none is named. Several processes can each train
-            one; the last to finish writes the model.
+        device: device such as "cuda:0"; None takes CUDA where there is some.
+        tensorboard: whether to write curves into OUT/tensorboard too.
+        flows: flows to train now; all of the stage where none is named. Several processes can each
+            train one; the last to finish writes the model.
     """
 
     config: StageConfig
@@ -62,8 +62,8 @@ class StageParts:
     Attributes:
         model: all networks, in float32.
         train, held_out: vehicles with a target that is used.
-        unscreened: how many of `train` no person decided about; None where they are no
-            pseudo-targets, since the pictures are those of training assets.
+        unscreened: number of vehicles in `train` that no person decided about; None where they
+            are no pseudo-targets, since the pictures are those of training assets.
     """
 
     model: ImageTo3D

@@ -51,12 +51,12 @@ class TrainingState:
     """Everything that a training changes.
 
     Attributes:
-        modules: by name.
-        optimiser: over all their trainable parameters.
-        averages: of each module, where asked for.
-        clipper: where the bound follows the norms.
-        step: steps done.
-        pending: of the log, since its last line.
+        modules: modules by name.
+        optimiser: optimiser over all their trainable parameters.
+        averages: moving average of each module, where asked for.
+        clipper: gradient clipper, where the bound follows the norms.
+        step: number of steps done.
+        pending: means of the log since its last line.
     """
 
     modules: Mapping[str, nn.Module]

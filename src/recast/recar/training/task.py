@@ -30,11 +30,11 @@ class StepRandom:
     """All randomness of one step: it depends on seed, step and part alone, so a run can resume.
 
     Attributes:
-        numpy: for choices of data.
-        torch: for noise, on the CPU.
-        part, parts: which part of the step's batch this is; parts are accumulated one after
-            another, or by several processes at once.
-        seed, step: what everything is derived from.
+        numpy: generator for choices of data.
+        torch: generator for noise, on the CPU.
+        part, parts: index of this part of the step's batch, and number of all its parts; parts are
+            accumulated one after another, or by several processes at once.
+        seed, step: seed and step from which everything is derived.
     """
 
     numpy: np.random.Generator
@@ -87,17 +87,18 @@ class TrainerSettings(Record):
     """Optimiser, schedule and bookkeeping of one training.
 
     Attributes:
-        steps: of the optimiser.
+        steps: number of steps of the optimiser.
         lr: peak learning rate of AdamW.
-        schedule: constant after the warm-up, or a cosine down to 1 % of the peak.
-        warmup: steps over which the rate rises linearly.
-        betas, weight_decay: of AdamW.
-        ema_decay: of the moving average of the weights; None keeps none.
+        schedule: learning rate schedule: constant after the warm-up, or a cosine down to 1 % of the
+            peak.
+        warmup: number of steps over which the rate rises linearly.
+        betas, weight_decay: betas and weight decay of AdamW.
+        ema_decay: decay of the moving average of the weights; None keeps none.
         clip: norm to which gradients are clipped; "adaptive" as the published trainer does.
-        accumulate: batches a step.
-        seed: of everything random.
-        checkpoint_every: steps between checkpoints.
-        log_every: steps between lines of the log.
+        accumulate: number of batches a step.
+        seed: seed of everything random.
+        checkpoint_every: number of steps between checkpoints.
+        log_every: number of steps between lines of the log.
     """
 
     steps: int = Field(ge=1)
@@ -171,9 +172,9 @@ class TrainingLog:
     """Appends to a `log.jsonl`.
 
     Args:
-        path: of the file; lines of steps after `step`, which a kill undid, are dropped.
-        step: done so far.
-        every: steps from line to line.
+        path: path of the file; lines of steps after `step`, which a kill undid, are dropped.
+        step: number of steps done so far.
+        every: number of steps from line to line.
         pending: means since the last line.
     """
 

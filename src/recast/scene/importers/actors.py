@@ -192,7 +192,7 @@ def as_tracks(
     """The actors of a scene by track id with the sizes of the tracks, and what to tell of it.
 
     Args:
-        found: by name; one that is no track of the log keeps its name and size.
+        found: actors by name; one that is no track of the log keeps its name and size.
         tracks: the log's track ids by name.
 
     Raises:

@@ -173,7 +173,7 @@ def read_checkpoint(path: str | Path, arrays: bool = False) -> Table:
     """Read a checkpoint; nothing but tensors and plain values is unpickled.
 
     Args:
-        arrays: whether it may hold NumPy's numbers and arrays.
+        arrays: whether the checkpoint may hold NumPy's numbers and arrays.
 
     Raises:
         InputError: see `recast.core.torch_file.read_torch_file`; or it holds no table.

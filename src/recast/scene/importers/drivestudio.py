@@ -86,7 +86,7 @@ def import_drivestudio(
     The checkpoint does not tell which tracks its actors are; they are found by where they were.
 
     Args:
-        log: of the drive it was trained on.
+        log: log of the drive that the checkpoint was trained on.
         processed: the folder it was trained on. It places the scene by the file of its first pose;
             without it the scene's origin is taken for the log's rig at the first frame.
         first_frame: the training's first time step.
@@ -94,7 +94,8 @@ def import_drivestudio(
         world_from_scene: text file with the scene's place in the log's world.
         tracks: JSON file with the log's track ids by actor, "0", "1", ...
         leave_out: actors not wanted.
-        share: in [0, 1], of an actor's time in the scene: where its view-dependent colour is kept.
+        share: share of an actor's time in the scene, in [0, 1], at which its view-dependent colour
+            is kept.
 
     Raises:
         InputError: a file is missing, broken or of another layout, an actor is no track of the
@@ -213,7 +214,7 @@ class Instance:
     """One rigid actor.
 
     Attributes:
-        gaussians: box frame; harmonics in the axes of the scene.
+        gaussians: Gaussians in the box frame; harmonics in the axes of the scene.
         size: (3,) length, width, height in metres.
         trajectory: `world_from_actor` at the frames in which it is there.
     """
@@ -234,7 +235,7 @@ def read_instances(
     """The actors of `RigidNodes` that are there in any frame, by their index as text.
 
     Args:
-        times_us: of the log's frames, the checkpoint's first one first.
+        times_us: times of the log's frames in microseconds, the checkpoint's first one first.
 
     Raises:
         InputError: a tensor is missing, of another shape or not finite, a point belongs to no

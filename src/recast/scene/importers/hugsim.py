@@ -72,7 +72,7 @@ def import_hugsim(
 
     Args:
         path: the folder.
-        log: of the drive it was trained on.
+        log: log of the drive that the scene was trained on.
         camera: the log's camera of which HUGSIM recorded the places; the one that looks forward
             most if None.
         first_frame: its frame at which the scene begins.
@@ -80,7 +80,8 @@ def import_hugsim(
         world_from_scene: text file with the scene's place in the log's world.
         tracks: JSON file with the log's track ids by the actors' names.
         leave_out: names of actors not wanted.
-        share: in [0, 1], of an actor's time in the scene: where its view-dependent colour is kept.
+        share: share of an actor's time in the scene, in [0, 1], at which its view-dependent colour
+            is kept.
 
     Raises:
         InputError: a file is missing, broken or of another layout, the log lacks the camera or the
@@ -191,7 +192,7 @@ def _placement(
     """Where the scene lies in the log, and what looks wrong with it.
 
     Args:
-        poses: (F, 4, 4) of the recorded camera in the scene.
+        poses: (F, 4, 4) poses of the recorded camera in the scene.
     """
     if given is not None:
         placement = given_placement(given)

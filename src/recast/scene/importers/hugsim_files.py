@@ -135,8 +135,8 @@ class Recording:
     """The images that a scene was trained on, of one camera, in the order of their times.
 
     Attributes:
-        times: (F,) in the scene's unit.
-        poses: (F, 4, 4) of the camera in the scene.
+        times: (F,) times of the images in the scene's unit.
+        poses: (F, 4, 4) poses of the camera in the scene.
         camera: intrinsics.
     """
 

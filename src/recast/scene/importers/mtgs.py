@@ -77,10 +77,11 @@ def import_mtgs(
         path: the scene's folder, or its checkpoint. Only of a folder the recorded frames
             (video_scene_dict.pkl) are compared with the log's.
             An Odyssey scene (scene.ckpt) has the ego's places in the checkpoint.
-        log: of the drive it was trained on.
+        log: log of the drive that the scene was trained on.
         tracks: JSON file with the log's track ids by the actors' tokens.
         leave_out: tokens of actors not wanted.
-        share: in [0, 1], of an actor's time in the scene, at which its changing colour is frozen.
+        share: share of an actor's time in the scene, in [0, 1], at which its changing colour is
+            frozen.
 
     Raises:
         InputError: a file is missing, broken or of another layout, no actor is there in the log's

@@ -75,11 +75,11 @@ def distance_to_log(
     """Median distance in metres, seen from above, of the two recordings of the ego's places.
 
     Args:
-        times_us: (F,).
-        places: (F, 3) in the scene.
+        times_us: (F,) times in microseconds.
+        places: (F, 3) places of the ego in the scene.
 
     Returns:
-        0 if no time is in the log; and the number of frames whose times are.
+        The distance, 0 if no time is in the log; and the number of frames whose times are.
     """
     first, last = log.world_from_rig.timestamps_us[[0, -1]]
     shared = (times_us >= first) & (times_us <= last)

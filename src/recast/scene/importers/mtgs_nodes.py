@@ -79,7 +79,7 @@ def read_gaussian_node(node: Node, share: float) -> Gaussians:
     """The Gaussians of a node in its own frame, harmonics in the axes of the scene.
 
     Args:
-        share: of its time, at which changing colours are frozen.
+        share: share of the node's time at which changing colours are frozen.
 
     Raises:
         InputError: a field is missing, of another shape, not finite, or out of range.
@@ -133,8 +133,8 @@ class Motion:
 
     Attributes:
         trajectory: `world_from_actor` in the frames in which it is there.
-        static: whether it has one pose for the whole drive.
-        gaps: whether it is absent between two of them.
+        static: whether the actor has one pose for the whole drive.
+        gaps: whether the actor is absent between two of these frames.
     """
 
     trajectory: Trajectory

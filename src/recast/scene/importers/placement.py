@@ -37,8 +37,8 @@ class Placement:
 
     Attributes:
         world_from_scene: (4, 4) rigid.
-        how: where it comes from, one sentence for people.
-        scale: applied to scene coordinates first.
+        how: origin of the placement, one sentence for people.
+        scale: factor applied to scene coordinates first.
     """
 
     world_from_scene: Array
@@ -137,12 +137,13 @@ class ImportRecord(Record):
     """Contents of import.json.
 
     Attributes:
-        layout: of the file: street-gaussians, drivestudio, mtgs, hugsim, ply, gltf, spz or usd.
+        layout: layout of the file: street-gaussians, drivestudio, mtgs, hugsim, ply, gltf, spz or
+            usd.
         file, sha256: what was imported.
         iteration: training step of a checkpoint.
         log_name, log_fingerprint: the log it was placed in.
         world_from_scene: 4x4, row by row; scene coordinates are scaled by `scale` first.
-        placed_by: where this transform comes from.
+        placed_by: origin of this transform.
         drive_inside: share of the ego positions within the background's bounds.
         tracks: track of the log by name in the file.
         changed: what was carried over in another form, one sentence each.
@@ -205,7 +206,7 @@ def write_imported(
 
     Args:
         source: the file that was imported.
-        scene: in the log's world; it gets the log's name and offset.
+        scene: scene in the log's world; it gets the log's name and offset.
         layout, tracks, changed, left_out, warnings, iteration: see `ImportRecord`.
 
     Raises:

@@ -73,7 +73,7 @@ def import_street_gaussians(
     """Make a scene of a Street Gaussians checkpoint.
 
     Args:
-        log: of the drive it was trained on.
+        log: log of the drive that the checkpoint was trained on.
         processed: the folder it was trained on, with `ego_pose` and `track`. It places the scene
             exactly and gives the learned corrections of tracks their meaning; without it the
             scene's origin is taken for the mean recorded ego position and actors follow the log.
@@ -82,8 +82,8 @@ def import_street_gaussians(
         world_from_scene: text file with the scene's place in the log's world.
         tracks: JSON file with the log's track ids by the checkpoint's names.
         leave_out: names of actors not wanted.
-        share: in [0, 1], at which the changing colour of an actor is frozen, of its time in the
-            scene.
+        share: share of an actor's time in the scene, in [0, 1], at which its changing colour is
+            frozen.
 
     Raises:
         InputError: a file is missing, broken or of another layout, an actor is no track of the

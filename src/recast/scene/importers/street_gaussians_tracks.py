@@ -35,15 +35,15 @@ class ProcessedDrive:
     """What the importer needs of the folder.
 
     Attributes:
-        folder: for messages.
+        folder: folder of the processed drive, for messages.
         first, last: frames of the training, both included.
         camera: name of its first camera, at whose times actors are placed.
         offset: (3,) dataset coordinates of the scene's origin.
-        boxes: by track number and frame: x, y, z, heading in the vehicle frame.
-        slots: by track number and frame.
-        slot_count: slots of a frame.
-        frame_seconds, camera_seconds: by frame.
-        dataset_from_vehicle: (4, 4) by frame, at the camera's time.
+        boxes: boxes by track number and frame: x, y, z, heading in the vehicle frame.
+        slots: slots by track number and frame.
+        slot_count: number of slots of a frame.
+        frame_seconds, camera_seconds: times of the frame and of its camera image by frame, seconds.
+        dataset_from_vehicle: (4, 4) vehicle poses by frame, at the camera's time.
         numbers: track number by dataset id.
     """
 
@@ -76,7 +76,7 @@ class ProcessedDrive:
         """Where the trained scene shows an actor at the times of its first camera.
 
         Args:
-            number: of the track.
+            number: number of the track.
             translations, rotations: (F, M, 3) metres and (F, M, 1), as learned.
             world_from_scene: (4, 4).
 
@@ -217,7 +217,7 @@ def read_boxes(
     """Boxes seen by the cameras, in the vehicle frame, and their slots.
 
     Args:
-        folder: with track_info.txt and track_camera_vis.json.
+        folder: folder with track_info.txt and track_camera_vis.json.
         poses: (4, 4) ego poses by frame.
 
     Returns:

@@ -42,8 +42,9 @@ class PlaceLight:
     """Light of a place, in units of that of the open sky on level ground.
 
     Attributes:
-        sky: (S,) of the sky at stations along a vehicle, 1 in the open, less where it is hidden.
-        sun: (S,) of the sun on what faces it, 0 in the shade.
+        sky: (S,) light of the sky at stations along a vehicle, 1 in the open, less where the sky is
+            hidden.
+        sun: (S,) light of the sun on what faces it, 0 in the shade.
         seen: (S,) whether road was seen there; where not, the street's usual light is taken.
     """
 
@@ -84,7 +85,7 @@ class SceneLight:
     """The light of a street.
 
     Attributes:
-        sun: where it may stand.
+        sun: belief about where the sun may stand.
         sky_radiance: mean linear light of the sky near the horizon: what clear coats mirror.
         sunlit: linear brightness of road in the sun; None where no road was seen.
         road: patches of level ground that is not green.
@@ -156,7 +157,7 @@ class SceneLight:
 
         Args:
             pose: (4, 4) `world_from_actor`.
-            size: (3,) of its box, metres.
+            size: (3,) size of the vehicle's box, metres.
         """
         along = np.array(_STATIONS) * size[0] / 2
         ground = np.stack([along, 0 * along, 0 * along - size[2] / 2], axis=-1)

@@ -105,9 +105,9 @@ def recorded_light(
     """Mean light (N,) that fell on a vehicle's surface over the places where it was seen.
 
     Args:
-        size: (3,) of its box, metres.
+        size: (3,) size of the vehicle's box, metres.
         poses: (4, 4) `world_from_actor` each, at least one.
-        weights: of the poses; the same for all if not given.
+        weights: weights of the poses; the same for all if not given.
     """
     shares = np.ones(len(poses)) if weights is None else np.asarray(weights, np.float64)
     total = torch.zeros(len(surface.normals))
@@ -120,7 +120,7 @@ class Paint:
     """A vehicle's colours, taken apart: what coat and glass mirror of the sky, the rest is paint.
 
     Args:
-        gaussians: in the light that they were recorded in.
+        gaussians: Gaussians in the light that they were recorded in.
         mirrored: linear radiance up to which a colour may be mirrored.
     """
 
@@ -149,9 +149,9 @@ class CastShadow:
     probability. An uncertain sun casts a faint, wide shadow.
 
     Args:
-        points: (N, 3) on the outer surface of the vehicle, actor frame.
+        points: (N, 3) points on the outer surface of the vehicle, actor frame.
         contact: level sheet of Gaussians, as opaque as the share of the sky that the vehicle hides.
-        size: (3,) of its box, metres.
+        size: (3,) size of the vehicle's box, metres.
     """
 
     def __init__(self, points: Array, contact: Gaussians, size: Array) -> None:

@@ -41,7 +41,7 @@ class SunBelief:
     """What a street says of the sun.
 
     Attributes:
-        probability: (D,) of each of the `directions`; adds up to one.
+        probability: (D,) probability of each of the `directions`; adds up to one.
     """
 
     probability: Array

@@ -31,13 +31,13 @@ class Entity:
     """A road user.
 
     Attributes:
-        track_id: of the log; None of the ego.
-        category: as in `Track.category`; "car" of the ego.
+        track_id: id of the track in the log; None for the ego.
+        category: category as in `Track.category`; "car" for the ego.
         size: (3,) length, width, height, metres.
         centre: (3,) box centre from the reference point, in its axes, metres.
-        times: (T,) seconds from the start; of one alone there is a start and no path.
+        times: (T,) seconds from the start; an entity with one time has a start and no path.
         poses: (T, 4, 4) `world_from_reference`.
-        speed: at its first pose, m/s.
+        speed: speed at the first pose, m/s.
     """
 
     track_id: str | None
@@ -59,9 +59,10 @@ class Played:
     """A scenario or a rollout as paths.
 
     Attributes:
-        name, description: for people.
-        duration: seconds.
-        entities: the ego first.
+        name: name, for people.
+        description: description, for people.
+        duration: length in seconds.
+        entities: the road users, the ego first.
     """
 
     name: str
@@ -108,7 +109,7 @@ def played_rollout(rollout: Rollout, log: DrivingLog) -> Played:
     """A rollout as it was driven, the ego by its planner.
 
     Args:
-        log: that it was run on, for the categories and for the logged motion of other actors.
+        log: log of the rollout, for the categories and for the logged motion of other actors.
 
     Raises:
         InputError: the log lacks a track of the rollout.

@@ -30,10 +30,10 @@ class RoadLane:
     """A road of one lane, as a file tells it.
 
     Attributes:
-        lane_id: of the map.
+        lane_id: id of the lane in the map.
         centreline: (N, 3) points of the reference line at the ends of its pieces, metres.
-        widths: (N, 2) from there to the left and to the right boundary, metres.
-        speed_limit: m/s, or None.
+        widths: (N, 2) distances from the centreline to the left and to the right boundary, metres.
+        speed_limit: speed limit in m/s, or None.
         successors: lanes that links and junctions name.
     """
 
@@ -48,7 +48,7 @@ def write_opendrive(path: str | Path, hdmap: HdMap, name: str) -> int:
     """Write a map's lanes, whole or not at all.
 
     Args:
-        name: of the map, for people.
+        name: name of the map, for people.
 
     Returns:
         Links between lanes that were left out, see `network`.

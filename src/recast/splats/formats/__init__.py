@@ -33,8 +33,8 @@ class SplatFormat:
     Attributes:
         suffix: end of a file's name, in lower case.
         write, read, low_pass: its functions, in the axes of the format.
-        axes: where x (forward), y (left) and z (up) point in the format's axes, (3, 3) row by row;
-            None if they are the same.
+        axes: directions of x (forward), y (left) and z (up) in the format's axes, (3, 3) row by
+            row; None if they are the same.
     """
 
     suffix: str

@@ -217,12 +217,12 @@ def render_camera(
     """Take one image.
 
     Args:
-        scene: may have an empty street.
+        scene: scene to look at; its street may be empty.
         sky: daylight.
-        camera: may have distortion.
+        camera: camera of the image; it may have distortion.
         world_from_camera: (4, 4) rigid.
         poses: `world_from_actor` (4, 4) by model name; models not named are absent.
-        rng: of the samples of light.
+        rng: random generator of the samples of light.
         exposure: factor on the light, 1 is right for the day.
         quality: "mitsuba" path traces the light of the sky, with four bounces instead of two, at
             several times the cost; needs the extra `mitsuba` and LLVM.

@@ -109,10 +109,10 @@ def scan_lidar(
 
     Args:
         scene: what is there.
-        spec: of the sensor.
+        spec: specification of the sensor.
         world_from_lidar: (4, 4) rigid.
         poses: `world_from_actor` (4, 4) by model name; models not named are absent.
-        rng: of noise and drop-out; the same number of draws whatever is hit.
+        rng: random generator of noise and drop-out; the same number of draws whatever is hit.
 
     Raises:
         ValueError: the spec or the pose cannot be, or a name is not among the models.

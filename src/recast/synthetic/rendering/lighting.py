@@ -165,7 +165,7 @@ class LightFilter:
     Args:
         points: what the pixels' centres show.
         pixels: (N,) row-major index of each point's pixel; the others are sky.
-        height, width: of the image.
+        height, width: size of the image in pixels.
     """
 
     def __init__(

@@ -41,7 +41,7 @@ class Mesh:
     """The bounding volume hierarchy of one surface, in the surface's own frame.
 
     Args:
-        surface: may be empty: then nothing is ever hit.
+        surface: surface to hit; where it is empty, nothing is ever hit.
 
     Raises:
         InputError: embreex is not installed.

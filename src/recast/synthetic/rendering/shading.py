@@ -232,7 +232,7 @@ def borrow_light(
     """Light of further points from smoothed light in the 3 x 3 pixels about them.
 
     Args:
-        points, pixels, arriving: of the centre rays.
+        points, pixels, arriving: points of the centre rays, their pixels, and the light at them.
         others, other_pixels: the further points and the pixel that each lies in.
         place: (2,) where in the pixel, one of `OFFSETS`.
 

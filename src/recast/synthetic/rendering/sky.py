@@ -72,7 +72,7 @@ class SkyLight:
         """Radiance (N, 3) from unit `directions` (N, 3), the sun's disc left out.
 
         Args:
-            directions: pointing away from the observer.
+            directions: directions that point away from the observer.
             diffuse: clip the glow round the sun: it belongs to the sun's own samples.
         """
         count = len(directions)

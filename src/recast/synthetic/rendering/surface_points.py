@@ -55,12 +55,12 @@ class SurfacePoints:
     Attributes:
         position: (N, 3) float32.
         view: (N, 3) unit direction of the ray that came here.
-        distance: (N,) along that ray.
+        distance: (N,) distance along that ray.
         flat: (N, 3) unit normal of the face, turned to the viewer.
         normal: (N, 3) unit shading normal, turned to the viewer.
         colour: (N, 3) diffuse colour, before any texture.
         material: (N,) index into `MATERIALS`.
-        instance: (N,).
+        instance: (N,) instance, see `Hits`.
     """
 
     position: Float32Array
@@ -121,9 +121,9 @@ def surface_points(
     """The points that rays met, and the indices of those rays.
 
     Args:
-        origins, directions: (N, 3) of the rays cast.
+        origins, directions: (N, 3) origins and directions of the rays cast.
         hits: what they met.
-        rays: only these; all that met something when None.
+        rays: indices of the rays to take; all that met something when None.
         smooth: False takes the faces' own normals for shading: enough where nobody looks.
     """
     if rays is None:
@@ -176,7 +176,7 @@ class Atlas:
     """Some patterns with their mip levels, by material.
 
     Args:
-        patterns: by `Material.texture`.
+        patterns: patterns by `Material.texture`.
     """
 
     def __init__(self, patterns: dict[str, Pattern]) -> None:
@@ -266,7 +266,7 @@ def surface_coordinates(
     """Metres along a surface, (N,) and (N,): level and up the slope; x and y where it is level.
 
     Args:
-        position, flat: (N, 3) in the frame of the surface's object.
+        position, flat: (N, 3) positions and face normals in the frame of the surface's object.
     """
     level = np.sqrt(flat[:, 0] ** 2 + flat[:, 1] ** 2)
     floor = level < np.float32(0.4)

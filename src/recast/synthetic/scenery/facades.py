@@ -19,10 +19,11 @@ class Look:
     """Colours and habits shared by all openings of a facade.
 
     Attributes:
-        wall, wall_material: of the wall around them.
-        frame: of window frames.
-        trim: of sills and surrounds.
-        door: of doors.
+        wall: colour of the wall around them.
+        wall_material: material of that wall.
+        frame: colour of window frames.
+        trim: colour of sills and surrounds.
+        door: colour of doors.
         reveal: metres that glass lies behind the wall.
         lights: panes across and up of a window.
         surround: metres of the band round windows, 0 for none.
@@ -62,9 +63,9 @@ class Facade(Panels):
     """A wall, x in [0, width], and what is on it.
 
     Args:
-        rng: for what differs from window to window.
+        rng: random generator for what differs from window to window.
         width: metres.
-        look: of the wall and its openings.
+        look: look of the wall and its openings.
     """
 
     def __init__(self, rng: np.random.Generator, width: float, look: Look) -> None:

@@ -126,7 +126,7 @@ def lathe(profile: ArrayLike, sides: int, colour: ArrayLike, material: str) -> S
 
     Args:
         profile: (K, 2) radius and height, from the bottom up; a radius of 0 closes the end.
-        sides: of each ring.
+        sides: number of sides of each ring.
     """
     radius, height = np.asarray(profile, np.float64).T
     angle = 2 * np.pi * np.arange(sides) / sides
@@ -159,7 +159,7 @@ def tube(
     Args:
         path: (K, 3) centre line, metres; no direction may turn by a right angle at one point.
         radii: (K,) or one radius.
-        sides: of the cross section.
+        sides: number of sides of the cross section.
     """
     points = np.asarray(path, np.float64)
     radius = np.broadcast_to(np.asarray(radii, np.float64), (len(points),))

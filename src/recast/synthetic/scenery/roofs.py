@@ -62,7 +62,7 @@ def gable_roof(
         size: width and depth of the walls, and rise from their top to the ridge, metres.
         low: height of the walls' top.
         out: metres that the roof stands out in front and behind, and at the sides.
-        colour, material: of the roof.
+        colour, material: colour and material of the roof.
         wall: colour and material of the gables.
     """
     panels = Panels()

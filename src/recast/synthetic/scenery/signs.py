@@ -274,7 +274,7 @@ def text_quads(text: str, height: float, weight: float = 0.17) -> Array:
     """Flat four-sided pieces that draw a text, centred at the origin.
 
     Args:
-        text: of the characters in `STROKES`.
+        text: text made of the characters in `STROKES`.
         height: metres.
         weight: thickness of the strokes as a share of the height.
 

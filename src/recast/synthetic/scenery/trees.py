@@ -79,8 +79,8 @@ def cores(
     Args:
         centres: (N, 3) metres.
         radii: (N, 3) half axes, metres.
-        colour: (3,) of outer leaves; the cores are darker.
-        level: of the icosphere, see `icosphere`.
+        colour: (3,) colour of outer leaves; the cores are darker.
+        level: level of the icosphere, see `icosphere`.
     """
     sphere, faces = icosphere(level)
     count = len(centres)

@@ -148,10 +148,10 @@ def line_along(
     Args:
         side: +1 left, -1 right.
         away: metres outside the kerb.
-        make: from a length in metres, along x.
+        make: function that makes a piece, along x, from its length in metres.
         start, end: arc lengths.
         piece: metres of a piece, about.
-        share: of the pieces that are there.
+        share: share of the pieces that are there.
     """
     if end - start < 1.5:
         return

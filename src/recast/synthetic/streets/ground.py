@@ -39,7 +39,7 @@ class Band:
 
     Attributes:
         width: metres.
-        cover: of the strip.
+        cover: cover of the strip.
         height: z at its outer edge, metres.
     """
 
@@ -82,7 +82,7 @@ class Island:
 
     Attributes:
         outline: its kerb's face.
-        cover: of its top.
+        cover: cover of its top.
     """
 
     outline: shapely.Polygon
@@ -94,11 +94,11 @@ class Ground:
     """The shape of the ground.
 
     Attributes:
-        asphalt: from kerb to kerb, without islands.
+        asphalt: area from kerb to kerb, without islands.
         filled: the asphalt with its islands.
         islands: raised areas.
         edge: what lies beside.
-        colour: of the asphalt.
+        colour: colour of the asphalt.
     """
 
     asphalt: shapely.Geometry
@@ -211,7 +211,7 @@ def _kerbs(region: shapely.Geometry, outwards: bool, rng: Generator) -> list[Sur
     Args:
         region: asphalt, or with `outwards` raised islands, of which the inside is high.
         outwards: the stones' faces look out of the region.
-        rng: of the stones' colours.
+        rng: random generator of the stones' colours.
     """
     parts: list[Surface] = []
     for polygon in shapely.get_parts(region):

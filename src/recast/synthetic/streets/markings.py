@@ -37,8 +37,8 @@ class Markings:
     """Paints onto roads.
 
     Attributes:
-        decals: where the shapes go.
-        rng: how worn each piece of paint is.
+        decals: decals that the shapes are added to.
+        rng: random generator of how worn each piece of paint is.
     """
 
     def __init__(self, decals: Decals, rng: Generator) -> None:
@@ -139,11 +139,11 @@ class RoadPaint:
     """Lines of a road.
 
     Attributes:
-        centre: between the directions.
+        centre: kind of the centre line, between the directions.
         edges: solid lines along the outer edges of the lanes.
         yellow: the centre line is yellow.
         solid: metres before `start` and `end` arms in which dividers are not broken.
-        dash, gap: metres, of broken lines.
+        dash, gap: lengths in metres of the dashes and gaps of broken lines.
         bays: ticks between parking spots.
     """
 
@@ -214,7 +214,7 @@ def paint_arm(
         arm: the road's end.
         control: line across the incoming lanes.
         zebra: a pedestrian crossing beyond the line.
-        arrows: of the incoming lanes, from the middle outwards.
+        arrows: arrows of the incoming lanes, from the middle outwards.
     """
     road, section, marks = arm.road, arm.road.section, site.markings
     towards = 1 if arm.at_end else -1
@@ -257,10 +257,10 @@ def park_along(
     """Parking spots in the parking lane of a road.
 
     Args:
-        road: has a parking lane on that side.
+        road: road with a parking lane on that side.
         side: +1 left, -1 right.
         middles: arc lengths of places, see `bays`.
-        share: of the places that are spots.
+        share: share of the places that are spots.
         pitch: metres from one place to the next.
         length: metres that a vehicle may have.
         ticks: painted between places.

@@ -48,8 +48,8 @@ class Network:
     """Collects roads and lanes.
 
     Attributes:
-        roads: by name.
-        lanes: by id.
+        roads: roads by name.
+        lanes: lanes by id.
     """
 
     def __init__(self, roads: Sequence[Road]) -> None:
@@ -186,7 +186,7 @@ class Tee:
     Attributes:
         network: roads and lanes.
         main, ahead: the through road before and after the junction, on one line.
-        side: leads away from the junction.
+        side: road that leads away from the junction.
     """
 
     network: Network
@@ -215,14 +215,15 @@ def tee(
     """A side road at arc length `crossing` of a through road.
 
     Args:
-        line: of the through road.
-        section, minor: of the through road and of the side road.
+        line: reference line of the through road.
+        section: section of the through road.
+        minor: section of the side road.
         crossing: arc length of the side road's middle.
         way: +1 joins from the left, -1 from the right.
         speed: limit on the through road, m/s.
         fillet: radius of the kerbs at the corners.
         zebra: leave room for a crossing before the junction.
-        barred: as in `Network.junction`.
+        barred: names of roads (from, to) between which one cannot turn, as in `Network.junction`.
         side_length: metres of the side road.
     """
     half = minor.kerb(1) + fillet + (5.0 if zebra else 0.5)

@@ -68,7 +68,7 @@ class Road:
 
     Attributes:
         name: first part of its lane ids.
-        line: in the direction of the forward lanes.
+        line: reference line, in the direction of the forward lanes.
         section: what lies across.
         start, end: arc lengths between which there are lanes.
         speed_limit: m/s.
@@ -198,7 +198,7 @@ class Wear:
 
     Attributes:
         colour: linear RGB of the asphalt.
-        patches, cracks, covers: a hundred metres of lane.
+        patches, cracks, covers: number of each in a hundred metres of lane.
         tracks: 1 shows plain wheel tracks, 0 none.
     """
 

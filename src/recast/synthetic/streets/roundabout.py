@@ -51,7 +51,7 @@ class Roundabout:
         network: roads and lanes.
         arms: its roads; the one named "main" ends here, all others begin here.
         centre: x, y.
-        radius: of the ring's middle.
+        radius: radius of the ring's middle.
         spokes: name, angle seen from the centre, and length of each road.
         splitters: islands between the directions of each road.
     """
@@ -85,8 +85,8 @@ def make_roundabout(
     """A roundabout with one lane.
 
     Args:
-        centre: of the ring; its heading is not used.
-        radius: of the ring's middle, metres.
+        centre: centre of the ring; its heading is not used.
+        radius: radius of the ring's middle, metres.
         arms: name, angle seen from the centre in radians, and length in metres of each road, in
             counter-clockwise order. "main" leads to the ring, the others away from it.
         speed: limit on the roads, m/s.

@@ -38,7 +38,7 @@ class Prop:
     """A thing that may stand somewhere, with its outlines seen from above in its own frame.
 
     Attributes:
-        surface: as the scenery functions give it.
+        surface: surface of the prop, as the scenery functions give it.
         foot: hull of what reaches below the height of a van.
         low: hull of what reaches below the headroom.
         whole: hull of all.
@@ -99,7 +99,7 @@ class Placer:
 
         Args:
             prop: what to place.
-            pose: of its origin.
+            pose: pose of the prop's origin.
             keep_off: an area, besides the road, that it must not touch; prepared, for speed.
             overlap: share of the smaller of two outlines by which they may overlap.
             lift: metres above the ground at which it stands.
@@ -142,7 +142,7 @@ class Layout:
         edge: what lies beside the asphalt.
         fillet: radius of kerbs at corners, metres.
         islands: raised areas.
-        wear: of the asphalt.
+        wear: wear of the asphalt.
         paved: asphalt besides the roads' and lanes' own.
     """
 
@@ -164,10 +164,10 @@ class Site:
         ground: shape of the ground.
         rng: source of what stands where.
         markings: painter.
-        placer: of props.
+        placer: placer of props.
         decals: thin shapes on the ground.
         public: asphalt, verges and pavements.
-        core: of `public`, what awnings and steps of buildings do not reach into.
+        core: part of `public` that awnings and steps of buildings do not reach into.
         parking: spots for parked cars.
         extras: further surfaces in the world frame.
     """
@@ -228,8 +228,8 @@ class Site:
             jitter: metres by which places vary along the road, a third of it across.
             turn: radians added to the heading; None for any.
             off_pavement: keep clear of the pavement and verges too.
-            overlap: as in `Placer.place`.
-            share: of the places that have one.
+            overlap: share by which outlines may overlap, as in `Placer.place`.
+            share: share of the places that have a prop.
         """
         begin = (road.start if start is None else start) + self.rng.uniform(0.2, 0.8) * spacing
         for s in np.arange(begin, road.end if end is None else end, spacing):

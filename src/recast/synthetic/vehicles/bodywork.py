@@ -262,7 +262,7 @@ def seam(
         solid: half of the body.
         axis: 0 or 2.
         at: metres on that axis.
-        across: where it begins and ends on the other axis.
+        across: start and end of the joint on the other axis, metres.
         half: half its width.
         tilt: metres of x per metre of height.
     """

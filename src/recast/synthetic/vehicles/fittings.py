@@ -40,7 +40,7 @@ def pebble(
     Args:
         centre, size: metres.
         roundness: the exponent.
-        cells: from pole to pole (upwards) and around.
+        cells: numbers of cells from pole to pole (upwards) and around.
     """
     rows, columns = cells
     polar = np.linspace(np.pi, 0, rows + 1)[1:-1, None]
@@ -124,10 +124,10 @@ def wheel(
     """One closed wheel about the origin that turns about y and shows its rim at +y.
 
     Args:
-        radius: of the tyre, metres.
-        width: of the tyre.
+        radius: radius of the tyre, metres.
+        width: width of the tyre.
         rim_share: rim radius over tyre radius.
-        spokes: of the rim.
+        spokes: number of spokes of the rim.
         dished: a steel rim with holes, as heavy vehicles have.
     """
     per_spoke = 6 if spokes == 5 else 4
@@ -245,9 +245,9 @@ def screen(
 
     Args:
         solid, body: half of the body; its shape.
-        low_x, high_x: where the glass begins and ends, x in the middle plane.
+        low_x, high_x: x at which the glass begins and ends, in the middle plane.
         inset: metres from the glass to the upper edge of the side.
-        low_z: the glass stays above.
+        low_z: height that the glass stays above.
     """
 
     def field(s: Solid) -> Array:

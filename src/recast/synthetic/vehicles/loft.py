@@ -68,7 +68,7 @@ class Profile:
 
         Args:
             start, end: metres.
-            count: of stations.
+            count: number of stations.
             focus: 0 spaces evenly along the station, 1 along the curve.
         """
         dense = np.linspace(start, end, 800)
@@ -97,11 +97,11 @@ class Body:
         corner: radius of the upright edges in plan.
         taper: share of the half width lost at the ends.
         edge: radius of the upper edges in the cross-section.
-        arches: (x, z, radius) of the wheel arches.
+        arches: (x, z, radius) of each wheel arch.
         flare: how far the arches' lips stand out.
         crease: depth of the line along the side.
         bumper: height of the foremost point.
-        cells: along x, across half the width, up the side.
+        cells: numbers of cells along x, across half the width, up the side.
     """
 
     length: float

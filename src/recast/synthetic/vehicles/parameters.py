@@ -19,19 +19,19 @@ class VehicleParameters:
 
     Attributes:
         kind: one of `KINDS`.
-        length, width, height: of the box; mirrors not counted.
-        wheelbase: between the axles.
-        front_overhang: bumper to front axle.
-        wheel_radius, tyre_width: of the tyres.
-        ground_clearance: to the sill.
-        nose_height: of the bonnet's leading edge.
-        cowl_height: of the windscreen's foot.
-        bonnet_length: bumper to the windscreen's foot.
-        windscreen_rake: from upright.
-        rear_rake: of the rear window, from upright.
-        deck_length: of the boot lid (or the bed) behind the rear window.
-        deck_height: of the boot lid, or of the rear window's foot.
-        belt_height: of the side windows' lower edge at the front axle.
+        length, width, height: size of the box; mirrors not counted.
+        wheelbase: distance between the axles.
+        front_overhang: distance from the bumper to the front axle.
+        wheel_radius, tyre_width: radius and width of the tyres.
+        ground_clearance: distance from the ground to the sill.
+        nose_height: height of the bonnet's leading edge.
+        cowl_height: height of the windscreen's foot.
+        bonnet_length: distance from the bumper to the windscreen's foot.
+        windscreen_rake: angle of the windscreen, from upright.
+        rear_rake: angle of the rear window, from upright.
+        deck_length: length of the boot lid (or the bed) behind the rear window.
+        deck_height: height of the boot lid, or of the rear window's foot.
+        belt_height: height of the side windows' lower edge at the front axle.
         wedge: rise of that edge per metre towards the rear.
         tumblehome: lean of the side windows, from upright.
         shoulder: width of the ledge beneath the side windows.
@@ -39,22 +39,23 @@ class VehicleParameters:
         roof_drop: fall of the roof to its rear edge.
         bow: how far the front's middle stands before its corners.
         corner: radius of the corners in plan.
-        flare: of the wheel arches.
+        flare: how far the lips of the wheel arches stand out.
         crease: depth of the line along the side.
-        lamp_width, lamp_height, lamp_slant: of the headlamps; slant is rise per metre outwards.
-        tail_width, tail_height: of the tail lamps.
-        grille_width, grille_height: of the upper grille.
-        intake_height: of the lower grille.
-        grille_bars: chrome bars in the grille.
-        side_windows: panes behind the first door, on each side.
-        spokes: of each rim.
+        lamp_width, lamp_height: size of the headlamps.
+        lamp_slant: slant of the headlamps: rise per metre outwards.
+        tail_width, tail_height: size of the tail lamps.
+        grille_width, grille_height: size of the upper grille.
+        intake_height: height of the lower grille.
+        grille_bars: number of chrome bars in the grille.
+        side_windows: number of panes behind the first door, on each side.
+        spokes: number of spokes of each rim.
         rim_share: rim radius over wheel radius.
         cladding: width of unpainted plastic around the arches; 0 for none.
         roof_rails: rails on the roof.
         chrome: bright trim around windows and grille.
         shade: -1 (dark) to 1 (light) within the paint's name.
-        box_length: of the load box (box trucks).
-        cab_height: of the cab (box trucks).
+        box_length: length of the load box (box trucks).
+        cab_height: height of the cab (box trucks).
     """
 
     kind: str
@@ -272,7 +273,7 @@ class PaintColour(NamedTuple):
 
     Attributes:
         rgb: linear reflectance.
-        share: of all passenger cars on the road; the shares add up to 1.
+        share: share of all passenger cars on the road; the shares add up to 1.
     """
 
     rgb: tuple[float, float, float]

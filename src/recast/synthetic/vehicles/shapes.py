@@ -182,7 +182,7 @@ def read_mesh(
     Args:
         path: the file.
         kind: name to give it.
-        category: of the label, see `recast.logs.Track`.
+        category: category of the label, see `recast.logs.Track`.
         up, forward: the file's axes, "x", "y", "z" or with a minus sign; glTF has "y" and "z".
         length: metres that it shall have; None takes the file's unit as metres.
         material: a name in `MATERIALS`, of all faces.

@@ -172,9 +172,9 @@ class Solid:
         """Displace the faces where `region` is negative and close the step with walls.
 
         Args:
-            region: as in `paint`.
+            region: region of the faces, as in `paint`.
             move: new places of points (N, 3).
-            finish: of the displaced faces and the walls.
+            finish: finish of the displaced faces and the walls.
         """
         inside = self._inside(region)
         moved = self.faces[inside]

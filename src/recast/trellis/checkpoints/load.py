@@ -114,10 +114,10 @@ def load_image_encoder(
     """The image encoder that the record of a checkpoint's folder asks for.
 
     Args:
-        models: by role; an encoder of the folder's own is one of them, and is given back.
-        named: where the user says that the published backbone's weights lie; None takes the
+        models: models by role; an encoder of the folder's own is one of them, and is given back.
+        named: path that the user gives for the published backbone's weights; None takes the
             checkpoint's subfolder `dinov2`.
-        device: where the published backbone goes.
+        device: device that the published backbone goes to.
 
     Raises:
         InputError: the weights are not there or cannot be read, the role names no image encoder, or
@@ -154,9 +154,9 @@ class Checkpoint:
     """The models of a folder, ready to run.
 
     Attributes:
-        folder: where they were read; None for new ones.
+        folder: folder that they were read from; None for new ones.
         record: its `pipeline.json`.
-        models: by role; an image encoder of the folder's own is among them.
+        models: models by role; an image encoder of the folder's own is among them.
         image_encoder: what turns crops into condition tokens, where it was asked for.
     """
 
@@ -197,10 +197,11 @@ def load_checkpoint(
     read, except that a named `image_encoder` may be a torch-hub file, see `load_dinov2`.
 
     Args:
-        folder: with `pipeline.json` and `ckpts/`.
-        roles, device: which models to load, and where to.
-        torso_dtype: of the transformer and convolution blocks; None takes float32 on the CPU, and
-            what each configuration says elsewhere.
+        folder: folder with `pipeline.json` and `ckpts/`.
+        roles: roles of the models to load.
+        device: device to load them to.
+        torso_dtype: dtype of the transformer and convolution blocks; None takes float32 on the CPU,
+            and what each configuration says elsewhere.
         image_encoder: weights of the published backbone; None takes `folder`/dinov2.
         with_encoder: whether to load the image encoder.
 

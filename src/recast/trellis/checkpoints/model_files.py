@@ -107,7 +107,7 @@ class ModelCheck:
     """What was found of one model, and what its class expects.
 
     Attributes:
-        role: in `pipeline.json`.
+        role: role of the model in `pipeline.json`.
         file: the weights, or what names them.
         class_name: published name of the class; empty where it could not be told.
         found: tensors of the file, on the meta device unless their values are checked too.
@@ -164,7 +164,7 @@ class ModelFiles:
     """Where a model of a checkpoint folder lies.
 
     Attributes:
-        role: in `pipeline.json`.
+        role: role of the model in `pipeline.json`.
         config: the JSON file.
         weights: the safetensors file.
     """
@@ -248,10 +248,10 @@ def save_checkpoint(
     published layout does not know: it is written as float32, without loss.
 
     Args:
-        folder: new.
+        folder: new folder to write.
         record: names the path of each model by role. Roles without a model stay named, as in the
             published checkpoints, whose parts are fetched as needed.
-        models: by role.
+        models: models by role.
 
     Raises:
         InputError: the folder exists, the disk is full, the record does not name a role, or two

@@ -41,9 +41,9 @@ class CheckpointSizes:
     """All models of a checkpoint.
 
     Attributes:
-        models: by role; the image encoder among them, where it is not the published backbone.
+        models: sizes by role; the image encoder among them, where it is not the published backbone.
         backbone: the published image encoder, kept apart from the folder.
-        mean, std: of the structured latent, one value a channel.
+        mean, std: mean and standard deviation of the structured latent, one value a channel.
     """
 
     models: Mapping[str, ModelSize]
@@ -267,7 +267,7 @@ def new_checkpoint(
 
     Args:
         sizes: `OFFICIAL`, `SMALL` or others.
-        roles: which models to make; all where not given.
+        roles: roles of the models to make; all where not given.
         with_encoder: whether to make the image encoder; 1.2 GB for the published one.
 
     Returns:

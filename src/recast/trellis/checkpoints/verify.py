@@ -35,7 +35,7 @@ def verify_checkpoint(folder: str | Path, *, values: bool = False) -> list[Model
     absent. A last entry with an error stands for models that do not fit together.
 
     Args:
-        folder: in the published layout.
+        folder: model folder in the published layout.
         values: read every tensor and check that it is finite.
 
     Returns:
@@ -84,7 +84,7 @@ def check_table(checks: Sequence[ModelCheck], folder: str | Path) -> Table:
 
     Args:
         checks: see `verify_checkpoint`.
-        folder: that the files are named relative to.
+        folder: folder that the files are named relative to.
     """
     table = Table(box=None, pad_edge=False, padding=(0, 2, 1, 0))
     table.add_column("model", overflow="fold")

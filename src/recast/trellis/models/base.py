@@ -168,7 +168,7 @@ class Posterior:
     """Independent normal distributions, one for each latent value.
 
     Attributes:
-        mean: (B, C, R, R, R) for the sparse structure; what latent caches hold.
+        mean: mean, (B, C, R, R, R) for the sparse structure; what latent caches hold.
         logvar: same shape, natural logarithm of the variance.
     """
 

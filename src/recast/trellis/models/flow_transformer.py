@@ -201,7 +201,7 @@ class SLatFlowConfig(FlowConfig):
         patch_size: edge, in voxels, of what becomes one token: 2 to the number of
             `io_block_channels`.
         num_io_res_blocks: residual blocks of each level before and after the transformer.
-        io_block_channels: of each level, fine to coarse; None has no levels.
+        io_block_channels: channels of each level, fine to coarse; None has no levels.
         use_skip_connection: hand the outputs of the input blocks to the output blocks.
     """
 

@@ -23,9 +23,10 @@ class SparseStructureVaeConfig(ModelConfig):
     Args:
         latent_channels: channels of the latent.
         num_res_blocks: residual blocks of each level.
-        channels: of each level, in the order of the data; levels differ by two in resolution.
+        channels: channels of each level, in the order of the data; levels differ by two in
+            resolution.
         num_res_blocks_middle: residual blocks at the coarsest level beside those.
-        norm_type: has no other published value.
+        norm_type: kind of normalisation; no other value was published.
     """
 
     latent_channels: Size

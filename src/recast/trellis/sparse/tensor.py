@@ -152,7 +152,7 @@ class NeighbourMap:
     """Pairs of touching voxels of the same sample.
 
     Args:
-        pairs: for each of the 13 steps before the centre, (rows, neighbours), both (P_k,) int64:
+        pairs: pair (rows, neighbours) of each of the 13 steps before the centre, both (P_k,) int64:
             the voxel of `neighbours[i]` is one step `OFFSETS[k]` from the voxel of `rows[i]`. The
             steps after the centre are the same pairs read backwards.
         count: number of voxels T.

@@ -74,7 +74,7 @@ def run_scene_level(
     command finished stays; all files are the same bytes for any number of workers.
 
     Args:
-        out: new, empty, or of this very evaluation.
+        out: folder that is new, empty, or of this very evaluation.
         workers, ray, store: see `recast.pipeline.bench.run_closed_loop`.
 
     Raises:
@@ -210,7 +210,7 @@ def write_figures(
     """Write a figure for each motion: a row for each scene and setting, a column for each arm.
 
     Args:
-        pictures: from scene and arm to pictures by number of the image.
+        pictures: function from scene and arm to picture files by number of the image.
     """
     motions = dict.fromkeys(frame.motion for scene in frames.values() for frame in scene)
     shown = {scene: {arm: pictures(scene, arm) for arm in arms} for scene in frames}

@@ -47,7 +47,8 @@ class NetworkFiles:
         inception: weights file, see `load_inception`.
         lpips: ImageNet weights of AlexNet or VGG-16, see `load_lpips`.
         vqa: what `load_vqa_scorer` takes as text.
-        clip, device: folder of a CLIP model; where they compute: cpu, cuda or cuda:1.
+        clip: folder of a CLIP model.
+        device: device that the networks compute on: cpu, cuda or cuda:1.
     """
 
     inception: Path | None = None

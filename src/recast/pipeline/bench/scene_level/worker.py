@@ -31,7 +31,7 @@ class LevelTasks:
 
     Attributes:
         used: references of artefacts by scene and use.
-        failures: scene, and the arm where one failed alone, to the error and its reason.
+        failures: error and its reason, by scene, and by the arm where one failed alone.
     """
 
     def __init__(self, settings: LevelSettings) -> None:
