@@ -16,7 +16,7 @@ import numpy as np
 import torch
 
 from recast.geometry import se3
-from recast.splats import Gaussians, concatenate, rasterize
+from recast.splats import Gaussians, concatenate
 from recast.splats.sh import C0, evaluate
 from support import trained_scenes as made
 
@@ -191,11 +191,4 @@ def published(
         ]
         constant = sum(fourier()[:, i] * term for i, term in enumerate(terms))
         parts.append(shown(car, constant, eye))
-    drawn = rasterize(
-        concatenate(parts),
-        torch.from_numpy(camera_from_scene).float(),
-        torch.from_numpy(made.CAMERA.matrix).float(),
-        made.CAMERA.width,
-        made.CAMERA.height,
-    )
-    return drawn.rgb.numpy().clip(0, 1)
+    return made.rasterized(parts, camera_from_scene).rgb.numpy().clip(0, 1)

@@ -7,6 +7,7 @@ here from the layouts' own rules, not with the importers' code.
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -15,7 +16,7 @@ import torch
 
 from recast.geometry import PinholeCamera, se3
 from recast.logs import DrivingLog, LidarStream, Track, Trajectory
-from recast.splats import Gaussians, concatenate, rasterize
+from recast.splats import Gaussians, Rasterization, concatenate, rasterize
 from recast.splats.gaussians import matrix_to_quat, quat_multiply
 
 CAR, PARKED = "car-a", "car-b"
@@ -123,17 +124,22 @@ def moved(gaussians: Gaussians, pose: np.ndarray, keep_colours: bool) -> Gaussia
     return replace(turned, quats=quats, sh=gaussians.sh)
 
 
-def draw(
-    parts: list[Gaussians], camera_from_scene: np.ndarray, cube_from_scene: np.ndarray
-) -> np.ndarray:
-    """What a trainer draws (H, W, 3), not clamped: all parts at once, then the sky."""
-    result = rasterize(
+def rasterized(parts: Sequence[Gaussians], camera_from_scene: np.ndarray) -> Rasterization:
+    """All parts at once through `CAMERA`, on black."""
+    return rasterize(
         concatenate(parts),
         torch.from_numpy(camera_from_scene).float(),
         torch.from_numpy(CAMERA.matrix).float(),
         CAMERA.width,
         CAMERA.height,
     )
+
+
+def draw(
+    parts: list[Gaussians], camera_from_scene: np.ndarray, cube_from_scene: np.ndarray
+) -> np.ndarray:
+    """What a trainer draws (H, W, 3), not clamped: all parts at once, then the sky."""
+    result = rasterized(parts, camera_from_scene)
     rays = CAMERA.rays(CAMERA.pixel_grid()) @ camera_from_scene[:3, :3]
     sky = sky_colour(torch.from_numpy(rays @ cube_from_scene.T).float())
     return (result.rgb + (1 - result.alpha)[..., None] * sky.view_as(result.rgb)).numpy()

@@ -108,6 +108,8 @@ class _RemoteWorker:
         arguments: tuple[Any, ...],
         records: Diagnostics,
     ) -> None:
+        import torch  # noqa: F401  (so that its threads are set)
+
         from recast.core.workers import use_threads
 
         self._records = records

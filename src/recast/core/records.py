@@ -51,6 +51,15 @@ def parse_record(
     if value.get("version") != version:
         found = value.get("version")
         raise InputError(where, "version", f"is {found!r}, this recast reads {version}", mend)
+    return validated(where, value, model, mend)
+
+
+def validated(where: str | Path, value: Any, model: type[Model], mend: str) -> Model:
+    """Plain data from JSON or YAML as a model, whatever its format and version.
+
+    Raises:
+        InputError: the first member that is wrong.
+    """
     try:
         return model.model_validate(value)
     except ValidationError as error:

@@ -18,7 +18,7 @@ from recast.geometry import se3
 from recast.logs import CameraStream, DrivingLog, read_log
 from recast.scene import load_scene, render_scene
 from recast.scene.importers import hugsim_log, import_hugsim, import_hugsim_with_log
-from recast.splats import Gaussians, concatenate, rasterize
+from recast.splats import Gaussians
 from support import trained_scenes as made
 
 FIRST = 1  # the scene begins with this frame of the log's camera
@@ -147,14 +147,7 @@ def published(frame: float, with_actors: bool) -> np.ndarray:
             (made.world_from_parked, FORWARD_DOWN_LEFT, 2),
         ):
             parts.append(made.moved(in_own_axes(seed, axes), own_pose(true(frame), axes), True))
-    drawn = rasterize(
-        concatenate(parts),
-        torch.from_numpy(camera).float(),
-        torch.from_numpy(made.CAMERA.matrix).float(),
-        made.CAMERA.width,
-        made.CAMERA.height,
-    )
-    return drawn.rgb.numpy().clip(0, 1)
+    return made.rasterized(parts, camera).rgb.numpy().clip(0, 1)
 
 
 @pytest.mark.parametrize("tracks", [True, False])

@@ -29,9 +29,8 @@ def scenario_rows(names: Sequence[str]) -> Rows:
     Raises:
         InputError: an unknown name or a faulty file.
     """
-    motions = [motion for name in names for motion in parse_motions(name)]
     found, actors = [], []
-    for motion in motions or list(MOTIONS.values()):
+    for motion in _motions(names):
         name = scenario_name(motion)
         found.append(
             {
@@ -53,8 +52,12 @@ def list_scenarios(names: Sequence[str], console: Console) -> None:
     Raises:
         InputError: an unknown name or a faulty file.
     """
-    found = [motion for name in names for motion in parse_motions(name)] or list(MOTIONS.values())
-    console.print(_table(found))
+    console.print(_table(_motions(names)))
+
+
+def _motions(names: Sequence[str]) -> list[ScriptedMotion]:
+    """What names and files stand for; all that are built in if none is given."""
+    return [one for name in names for one in parse_motions(name)] or list(MOTIONS.values())
 
 
 def _table(motions: Sequence[ScriptedMotion]) -> Table:

@@ -8,15 +8,15 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
-from pydantic import BaseModel, ValidationError
+from pydantic import ValidationError
 
 from recast.arrays import Array
 from recast.core.errors import InputError
 from recast.core.files import parse_json
-from recast.core.records import validation_error
+from recast.core.records import validated, validation_error
 from recast.geometry import PinholeCamera, se3
 from recast.logs import checks
 from recast.logs.checks import refused
@@ -60,8 +60,6 @@ _UNIT = 1e-3
 once."""
 _MEND = "give a bundle that AlpaSim reads"
 
-_Model = TypeVar("_Model", bound=BaseModel)
-
 
 @returns_valid
 def load_alpasim(
@@ -90,11 +88,11 @@ def load_alpasim(
     metadata = _read_metadata(root / METADATA, members[METADATA])
     if drive and drive != metadata.scene_id:
         raise unknown_drive(root, drive, [metadata.scene_id], "")
-    rig = _checked(root / RIG, parse_json(root / RIG, members[RIG]), RigTrajectories)
+    rig = validated(root / RIG, parse_json(root / RIG, members[RIG]), RigTrajectories, _MEND)
     ego = _ego(root / RIG, rig.rig_trajectories[0])
     streams = _cameras(root / RIG, rig, cameras)
     found = {"sequences": parse_json(root / TRACKS, members[TRACKS])}
-    [sequence] = _checked(root / TRACKS, found, Tracks).sequences.values()
+    [sequence] = validated(root / TRACKS, found, Tracks, _MEND).sequences.values()
     return DrivingLog(
         name=metadata.scene_id,
         cameras=streams,
@@ -110,15 +108,6 @@ def load_alpasim(
     )
 
 
-def _checked(where: Path, value: Any, model: type[_Model]) -> _Model:
-    try:
-        return model.model_validate(value)
-    except ValidationError as error:
-        raise validation_error(where, error, _MEND) from None
-    except (RecursionError, OverflowError) as error:
-        raise InputError(where, "JSON", f"cannot be read ({error})", _MEND) from None
-
-
 def _read_metadata(where: Path, data: bytes) -> Metadata:
     try:
         value = _plain(read_yaml(data.decode(), str(where)))
@@ -127,7 +116,7 @@ def _read_metadata(where: Path, data: bytes) -> Metadata:
         raise InputError(where, "text", problem, _MEND) from None
     except InputError as error:
         raise InputError(error.where, error.field, error.problem, _MEND) from None
-    return _checked(where, value, Metadata)
+    return validated(where, value, Metadata, _MEND)
 
 
 def _plain(node: Node) -> Any:

@@ -28,6 +28,7 @@ from recast.scene.importers.actors import (
     read_track_names,
 )
 from recast.scene.importers.checkpoint import NO_SKY, RESAMPLED, Table, read_checkpoint
+from recast.scene.importers.drivestudio import CUBE_FROM_SCENE
 from recast.scene.importers.mtgs_frames import (
     FRAMES_FILE,
     distance_to_log,
@@ -53,7 +54,7 @@ from recast.scene.importers.mtgs_odyssey import (
     read_shift,
 )
 from recast.scene.importers.placement import ImportRecord, Placement, write_imported
-from recast.scene.sky import SkyMap
+from recast.scene.sky import sky_from_cubemap
 from recast.scene.street_scene import SceneActor, StreetScene
 from recast.splats import concatenate
 
@@ -145,8 +146,8 @@ def import_mtgs(
     changed += keeping
     warnings += told
     config = root.table("background").table("config")
-    sky = read_environment(config, placement.world_from_scene)
-    if sky is not None:
+    faces = read_environment(config)
+    if faces is not None:
         changed.append(RESAMPLED)
     elif "skybox" not in nodes:
         left_out.append(NO_SKY)
@@ -164,7 +165,7 @@ def import_mtgs(
         StreetScene(
             concatenate(scenery).transformed(pose),
             actors,
-            SkyMap.constant(torch.zeros(3)) if sky is None else sky,
+            sky_from_cubemap(faces, CUBE_FROM_SCENE @ pose[:3, :3].T.float()),
         ),
         layout="mtgs",
         tracks=chosen,

@@ -14,8 +14,6 @@ from torch import Tensor
 from recast.arrays import Array, Int64Array
 from recast.logs.checks import LATEST_US, WORLD_REACH
 from recast.scene.importers.checkpoint import Names, Table, read_faces
-from recast.scene.importers.drivestudio import CUBE_FROM_SCENE
-from recast.scene.sky import SkyMap, sky_from_cubemap
 from recast.splats.gaussians import quat_multiply
 
 GROUND = "OmniReGroundSubModel"
@@ -92,16 +90,15 @@ def read_shift(config: Table) -> Array:
     return shift
 
 
-def read_environment(config: Table, world_from_scene: Array) -> SkyMap | None:
-    """The sky of the background's settings, resampled; None if they have none.
+def read_environment(config: Table) -> Tensor | None:
+    """The cubemap (6, R, R, 3) of the sky in the background's settings; None if they have none.
+
+    It is looked up as DriveStudio's, by `CUBE_FROM_SCENE`.
 
     Raises:
         InputError: it is no cubemap.
     """
-    if _SKY not in config:
-        return None
-    turn = torch.from_numpy(world_from_scene[:3, :3].T).float()
-    return sky_from_cubemap(read_faces(config, _SKY), CUBE_FROM_SCENE @ turn)
+    return read_faces(config, _SKY) if _SKY in config else None
 
 
 def exposed(config: Table) -> bool:
