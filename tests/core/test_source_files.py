@@ -48,6 +48,23 @@ def test_a_module_and_what_it_imports_from_beside_it(user: Path) -> None:
     assert source_files("lone_unused:Planner") == (user / "lone_unused.py",)
 
 
+def test_imports_are_found_in_every_kind_of_statement(user: Path) -> None:
+    kinds = (
+        "try:\n    {0}\nexcept E:\n    {1}\nelse:\n    {2}\nfinally:\n    {3}",
+        "for x in y:\n    {0}\nelse:\n    while y:\n        {1}\n    else:\n        {2}",
+        "if a:\n    {0}\nelif b:\n    {1}\nelse:\n    {2}",
+        "class C:\n    async def f(self):\n        async with a:\n            {0}",
+        "match a:\n    case 1:\n        {0}\n    case _:\n        {1}",
+    )
+    names, text = [], ""
+    for number, kind in enumerate(kinds):
+        here = [f"deep_{number}_{part}" for part in range(kind.count("{"))]
+        text += kind.format(*(f"import {name}" for name in here)) + "\n"
+        names += here
+    _write(user, deep_all=text, **dict.fromkeys(names, ""))
+    assert _names(user, source_files("deep_all:P")) == [*(f"{n}.py" for n in names), "deep_all.py"]
+
+
 def test_all_of_a_package_and_the_modules_beside_it(user: Path) -> None:
     _write(
         user,

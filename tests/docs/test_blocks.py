@@ -13,7 +13,7 @@ import pytest
 
 import recast
 import recast.cli.main as command_line
-from faults.parts import Box
+from own_parts import Box
 from recast.splats import write_ply
 from support.doc_blocks import PAGES, REPOSITORY, Block, blocks, commands, faults
 

@@ -80,7 +80,7 @@ def test_a_run_with_hostile_names(
         ["advancing-a"],
         None,
         None,
-        {"generator": "faults.parts:Box", "steps": 10, "threads": 1},
+        {"generator": "own_parts:Box", "steps": 10, "threads": 1},
         {"iterations": 4, "scale": 0.25, "threads": 1},
     )
     config = config.model_copy(update={"arms": ARMS})

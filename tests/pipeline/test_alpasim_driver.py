@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -11,6 +12,7 @@ import pyarrow.parquet as pq
 import pytest
 
 from recast.cli.main import main
+from recast.protocols.alpasim import calls
 from recast.protocols.alpasim import driver_session as module
 from support.fake_driver import FakeDriver, driving
 
@@ -18,8 +20,9 @@ OPTIONS = ("--motions", "advancing-a", "--steps", "10", "--samples", "200")
 
 
 @pytest.fixture(autouse=True)
-def _no_versions(monkeypatch: pytest.MonkeyPatch) -> None:
+def _no_versions_and_no_pauses(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(module, "_VERSIONS", {})
+    monkeypatch.setattr(calls, "time", SimpleNamespace(sleep=lambda seconds: None))
 
 
 def grid(log: Path, out: Path, port: int, *more: str, workers: int = 1) -> list[dict[str, Any]]:

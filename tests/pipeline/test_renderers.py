@@ -24,7 +24,7 @@ from simulation.test_oracle_renderer import state_of
 from synthetic.conftest import small_world
 
 WORDS = ["native", "oracle", "noise-floor", "recast+oracle", "recast+none", "oracle+none"]
-NEGATIVE = "support.restorers:Negative"
+NEGATIVE = "own_parts:Negative"
 ARMS = {arm.name: arm for arm in (*parse_arms(WORDS), Arm.replaced("box", "truth"))}
 
 

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from own_parts import Negative
 from recast.arrays import Image
 from recast.cli.main import main
 from recast.core.errors import InputError, UnreachableError
@@ -22,11 +23,10 @@ from recast.simulation import MOTIONS, RolloutFailure, RolloutSetup
 from recast.simulation.restoring import Restorer, RestoringRenderer
 from recast.simulation.scene_renderer import SceneRenderer
 from support.fake_neuroncap import image_of, planning
-from support.restorers import Negative
 from support.tiny_served import CAMERA, MOVING, RIG_FROM_CAMERA, make_log, make_scene
 
 LOG = make_log()
-NEGATIVE = "support.restorers:Negative"
+NEGATIVE = "own_parts:Negative"
 SETUP = RolloutSetup(LOG, MOVING, MOTIONS["cut-in-a"], steps=10, camera_names=("front",))
 
 

@@ -32,7 +32,7 @@ class Mine(IdmLaneFollower):
         return Plan(super().plan(observation).waypoints * SHARE)
 """
 GENERATOR = """
-from faults.parts import Box
+from own_parts import Box
 
 class Mine(Box):
     name = "first"
@@ -192,7 +192,7 @@ def test_two_runs_at_once_make_nothing_twice(tiny_log_folder: Path, tmp_path: Pa
     numbers = []
     for name in ("one", "two"):
         command = options(log, tmp_path / name, "--motion", "advancing-a", "--store", str(store))
-        command += ["--generator", "faults.parts:Box"]
+        command += ["--generator", "own_parts:Box"]
         notes = tmp_path / f"{name}.notes"
 
         def work(command: list[str] = command, notes: Path = notes) -> None:

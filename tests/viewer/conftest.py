@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import torch
 
-from faults.parts import Box
+from own_parts import Box
 from recast.logs import DrivingLog, HdMap, map_of
 from recast.pipeline.view_run import log_runner
 from recast.planning import make_planner
