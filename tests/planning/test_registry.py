@@ -12,11 +12,11 @@ from recast.core.errors import InputError
 from recast.planning import (
     PLANNERS,
     IdmLaneFollower,
-    gtrs_mini,
     make_planner,
     planner_device,
     planner_folder,
     planner_source_files,
+    shipped_folder,
 )
 
 PLUGIN = """
@@ -53,11 +53,13 @@ def test_built_in_planners_by_name(name: str) -> None:
 
 
 def test_the_shipped_planner_is_a_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    assert "gtrs-mini" in PLANNERS.names()
-    assert planner_folder("gtrs-mini") == gtrs_mini()
+    for name in ("gtrs-mini", "gtrs-mini-oracle"):
+        assert name in PLANNERS.names()
+        assert planner_folder(name) == shipped_folder(name)
+        assert make_planner(name).name == name
     assert planner_folder("./somewhere") == Path("somewhere")
     assert planner_folder("pdm-closed") is planner_folder("some.module:Planner") is None
-    monkeypatch.setattr("recast.planning.registry.gtrs_mini", lambda: tmp_path / "gone")
+    monkeypatch.setattr("recast.planning.registry.shipped_folder", lambda name: tmp_path / name)
     with pytest.raises(InputError, match="planner: gtrs-mini: its weights are not in this inst"):
         make_planner("gtrs-mini")
 
@@ -68,7 +70,7 @@ def test_each_call_makes_a_new_one() -> None:
 
 
 def test_an_unknown_name_lists_the_known() -> None:
-    with pytest.raises(InputError, match="constant-velocity, gtrs-mini, idm-follower"):
+    with pytest.raises(InputError, match="constant-velocity, gtrs-mini, gtrs-mini-oracle, idm-f"):
         make_planner("gtsr")
 
 
@@ -186,7 +188,7 @@ def test_planners_compute_where_they_are_told(
 
     monkeypatch.setattr("recast.planning.registry.planner_device", meta)
     assert make_planner("gtrs-mini").device == "meta"
-    assert make_planner(str(gtrs_mini()), "cuda:1").device == "meta"
+    assert make_planner(str(shipped_folder()), "cuda:1").device == "meta"
     assert make_planner(f"{plugin}:placed", "cuda").device == "meta"
     assert asked == ["auto", "cuda:1", "cuda"]
     make_planner(f"{plugin}:Mine", "cuda")  # has no say
@@ -196,6 +198,6 @@ def test_planners_compute_where_they_are_told(
 
 def test_without_a_gpu_planners_compute_on_the_cpu(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("torch.cuda.is_available", lambda: False)
-    assert make_planner("gtrs-mini").device == make_planner(str(gtrs_mini())).device == "cpu"
+    assert make_planner("gtrs-mini").device == make_planner(str(shipped_folder())).device == "cpu"
     with pytest.raises(InputError, match="planner device: cuda: is not there: torch sees 0 GPUs"):
         make_planner("gtrs-mini", "cuda")

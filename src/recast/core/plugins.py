@@ -243,6 +243,7 @@ PLANNERS = Registry(
     {
         "constant-velocity": "recast.planning.simple:ConstantVelocity",
         "gtrs-mini": "recast.planning.registry:gtrs_mini_planner",
+        "gtrs-mini-oracle": "recast.planning.registry:gtrs_mini_oracle_planner",
         "idm-follower": "recast.planning.idm_follower:IdmLaneFollower",
         "log-replay": "recast.planning.simple:LogReplay",
         "pdm-closed": "recast.planning.pdm:PdmClosedPlanner",

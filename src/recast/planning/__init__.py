@@ -19,11 +19,11 @@ from recast.planning.registry import (
     GTRS_MINI,
     NAVSIM_PREFIX,
     PLANNERS,
-    gtrs_mini,
     make_planner,
     planner_device,
     planner_folder,
     planner_source_files,
+    shipped_folder,
 )
 from recast.planning.route import DrivingCommand, ReferenceRoute, route_lanes
 from recast.planning.simple import ConstantVelocity, LogReplay
@@ -65,7 +65,6 @@ __all__ = [
     "View",
     "camera_choice",
     "ego_status",
-    "gtrs_mini",
     "looked_at",
     "make_planner",
     "named_cameras",
@@ -77,6 +76,7 @@ __all__ = [
     "route_lanes",
     "seen_lines",
     "seen_record",
+    "shipped_folder",
     "shown_views",
     "virtual_mounts",
 ]

@@ -11,8 +11,9 @@ from recast.planning.types import Planner
 
 DEVICE_PATTERN = r"auto|cpu|cuda(:\d{1,3})?"
 """What users may say, as a regular expression."""
-GTRS_MINI = "gtrs-mini"
-"""Its name, as a planner and of its folder."""
+GTRS_MINI, GTRS_MINI_ORACLE = "gtrs-mini", "gtrs-mini-oracle"
+"""Planners that come with the package, each in a folder of its name; the second one never saw a
+reconstructed image."""
 ALPASIM_PREFIX = "alpasim:"
 """Before the address of a driver of AlpaSim."""
 NAVSIM_PREFIX = "navsim:"
@@ -66,7 +67,9 @@ def planner_folder(name: str) -> Path | None:
 
     It need not be there.
     """
-    return gtrs_mini() if name == GTRS_MINI else PLANNERS.place(name)
+    if name in (GTRS_MINI, GTRS_MINI_ORACLE):
+        return shipped_folder(name)
+    return PLANNERS.place(name)
 
 
 def planner_source_files(name: str) -> tuple[Path, ...]:
@@ -106,13 +109,14 @@ def planner_device(name: str = "auto") -> str:
     return name
 
 
-def gtrs_mini() -> Path:
-    """Its folder, in the layout of `recast.planning.gtrs.save_gtrs`."""
-    return Path(__file__).parent / GTRS_MINI
+def shipped_folder(name: str = GTRS_MINI) -> Path:
+    """The folder of a planner that comes with the package, as `recast.planning.gtrs.save_gtrs`
+    writes it."""
+    return Path(__file__).parent / name
 
 
 def gtrs_mini_planner(device: str = "cpu") -> Planner:
-    """The planner.
+    """The planner `gtrs-mini`.
 
     Args:
         device: device on which it computes, as torch calls it.
@@ -120,13 +124,23 @@ def gtrs_mini_planner(device: str = "cpu") -> Planner:
     Raises:
         InputError: this installation lacks the folder, or it is damaged.
     """
-    if not gtrs_mini().is_dir():
+    return _shipped(GTRS_MINI, device)
+
+
+def gtrs_mini_oracle_planner(device: str = "cpu") -> Planner:
+    """The planner `gtrs-mini-oracle`; see `gtrs_mini_planner`."""
+    return _shipped(GTRS_MINI_ORACLE, device)
+
+
+def _shipped(name: str, device: str) -> Planner:
+    folder = shipped_folder(name)
+    if not folder.is_dir():
         raise InputError(
             "planner",
-            GTRS_MINI,
-            f"its weights are not in this installation ({gtrs_mini()})",
+            name,
+            f"its weights are not in this installation ({folder})",
             "install a release that has them, or name the folder of another GTRS planner",
         )
     from recast.planning.gtrs import load_gtrs  # here, as it needs torch and others do not
 
-    return load_gtrs(gtrs_mini(), device)
+    return load_gtrs(folder, device)

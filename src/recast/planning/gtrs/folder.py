@@ -54,7 +54,7 @@ class _Config(Record):
 
     format: Literal["recast-gtrs"]
     version: Literal[1]
-    name: str = Field(pattern=r"^[\w.+-]+$")  # stands in file names
+    name: str = Field(pattern=r"^[\w.+~-]+$")  # stands in file names
     model: GtrsConfig
     views: ViewLayout
     scoring: ScoreWeights

@@ -45,7 +45,6 @@ from recast.recar.training.task import StepLoss, StepRandom, TrainerSettings, ov
 _SCALES = (1.0, 12.0, 3.0, 1.0, 1.0, 0.4, 0.06, 0.6, 1.5, 3.0)
 """Usual sizes of the clues."""
 _CLUE_WEIGHT = 1.0
-NAME = "gtrs-mini"
 
 MINI_VIEWS = ViewLayout(
     width=480, height=320, crop_rows=32, crop_columns=104, input_width=512, input_height=128
@@ -259,12 +258,12 @@ MINI = GtrsConfig(
 
 MINI_SCORING = ScoreWeights(
     imitation=0.03,
-    no_collision=4.0,
+    no_collision=8.0,
     drivable_area=2.0,
     direction=0.2,
     traffic_light=0.1,
     average=6.0,
-    time_to_collision=10.0,
+    time_to_collision=15.0,
     progress=7.0,
     lane_keeping=6.0,
     comfort=2.0,

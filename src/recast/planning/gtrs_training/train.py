@@ -14,6 +14,7 @@ from torch import nn
 
 from recast.core.errors import InputError
 from recast.core.files import write_bytes, write_json
+from recast.core.names import folder_name
 from recast.core.records import Record, read_record
 from recast.logs.images import encode
 from recast.planning.gtrs import GtrsModel, GtrsPlanner, load_gtrs, save_gtrs
@@ -32,7 +33,6 @@ from recast.planning.gtrs_training.samples import (
 )
 from recast.planning.gtrs_training.task import (
     MINI_VIEWS,
-    NAME,
     ClueReader,
     GtrsTask,
     PlannerTrainingConfig,
@@ -142,7 +142,7 @@ def train_planner(
 
 
 def export_planner(training: Path, dataset: Path, out: Path) -> GtrsPlanner:
-    """Write the planner of a training, finished or not, as a folder in float16.
+    """Write the planner of a training, finished or not, as a folder in float16; it has its name.
 
     Raises:
         InputError: no training is there, or it is of another dataset; `out` exists.
@@ -167,7 +167,7 @@ def export_planner(training: Path, dataset: Path, out: Path) -> GtrsPlanner:
         setting.task.model,
         setting.store.vocabulary,
         MINI_VIEWS,
-        name=NAME,
+        name=folder_name(out.resolve().name),
         weights=found.config.scoring,
     )
     save_gtrs(out, planner, torch.float16)
