@@ -12,7 +12,7 @@ from recast.cli.main import main
 from recast.core.errors import InputError
 from recast.logs import DrivingLog
 from recast.pipeline.config import RunConfig
-from recast.pipeline.rollouts import run_mounts
+from recast.pipeline.planner_cameras import run_mounts
 from recast.pipeline.sources import planner_source
 from recast.planning import ConstantVelocity, Planner
 

@@ -19,7 +19,8 @@ from recast.geometry import se2
 from recast.logs import CameraStream, DrivingLog, Track, Trajectory
 from recast.pipeline.bench import closed_loop, resolve_bench
 from recast.pipeline.config import RunConfig
-from recast.pipeline.rollouts import announce_planner, make_rollout, read_rollout, run_mounts
+from recast.pipeline.planner_cameras import announce_planner, run_mounts
+from recast.pipeline.rollouts import make_rollout, read_rollout
 from recast.planning import Planner, make_planner
 from recast.scene.sky import SkyMap
 from recast.scene.street_scene import SceneActor, StreetScene

@@ -27,8 +27,9 @@ from recast.pipeline.making import (
     take_street,
     train_street,
 )
+from recast.pipeline.planner_cameras import run_mounts
 from recast.pipeline.renderers import Renderers
-from recast.pipeline.rollouts import make_rollout, rollout_setup, run_mounts
+from recast.pipeline.rollouts import make_rollout, rollout_setup
 from recast.pipeline.sources import RECIPES, SourceLog, Sources
 from recast.planning import CameraMount, Planner, looked_at, make_planner
 from recast.scene import SceneConfig, StreetScene, load_scene

@@ -1,4 +1,4 @@
-"""One rollout as a finished folder, with a film of every camera, and the cameras that it needs."""
+"""One rollout as a finished folder, with a film of every camera."""
 
 from __future__ import annotations
 
@@ -11,7 +11,6 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, ValidationError
-from rich.console import Console
 
 from recast.core import files
 from recast.core.errors import InputError, UnreachableError
@@ -20,14 +19,10 @@ from recast.core.records import Record, read_record, validation_error
 from recast.logs import DrivingLog, HdMap
 from recast.pipeline.config import RunConfig
 from recast.planning import (
-    CameraMount,
     Planner,
     ShownView,
     planner_cameras,
-    seen_lines,
     seen_record,
-    shown_views,
-    virtual_mounts,
 )
 from recast.reporting.video import VideoWriter, write_video
 from recast.simulation import (
@@ -38,7 +33,6 @@ from recast.simulation import (
     SensorRenderer,
     SimState,
     Timings,
-    camera_mounts,
     failure,
     load_rollout,
     run_rollout,
@@ -268,54 +262,3 @@ def rollout_setup(
         camera_names=config.scene.cameras or tuple(log.cameras),
         start_left=start_left,
     )
-
-
-def run_mounts(log: DrivingLog, planner: Planner, config: RunConfig) -> dict[str, CameraMount]:
-    """The cameras that a run renders: the log's, at the scale of the scene, and `planner_mounts`.
-
-    Raises:
-        InputError: the configuration names a camera that the log lacks, or see `planner_mounts`.
-    """
-    mounts = camera_mounts(log, config.scene.cameras or None, config.scene.scale)
-    return planner_mounts(mounts, planner, config)
-
-
-def planner_mounts(
-    mounts: Mapping[str, CameraMount], planner: Planner, config: RunConfig
-) -> dict[str, CameraMount]:
-    """The log's cameras, and virtual ones that the planner wants.
-
-    nuPlan's have the scale of the scene, too: 1920x1080 at scale 1. InputError: see `shown_views`.
-    """
-    rendered = {**mounts, **virtual_mounts(planner, mounts, config.scene.scale)}
-    shown_views(planner, rendered)
-    return rendered
-
-
-def require_distinct_planners(planners: Mapping[str, Planner]) -> None:
-    """Refuse planners, by the word that asks for each, that results could not tell apart.
-
-    Raises:
-        InputError: two have the same name.
-    """
-    named: dict[str, str] = {}
-    for word, planner in planners.items():
-        other = named.setdefault(planner.name, word)
-        if other != word:
-            raise InputError(
-                "`planner`",
-                word,
-                f"has the name of {other}: {planner.name}",
-                "give the planners different names",
-            )
-
-
-def announce_planner(
-    planner: Planner, mounts: Mapping[str, CameraMount], console: Console, where: str = ""
-) -> None:
-    """Print, after `where` on each line, on which device the planner computes and what it sees."""
-    said, warning = seen_lines(planner, mounts)
-    if said:
-        console.print(f"{where}{said}", markup=False, highlight=False)
-    if warning:
-        console.print(f"{where}warning: {warning}", markup=False, highlight=False, style="yellow")

@@ -20,8 +20,8 @@ from recast.pipeline.layout import (
     REPORT_FOLDER,
     STORE_FOLDER,
 )
+from recast.pipeline.planner_cameras import announce_planner, require_distinct_planners
 from recast.pipeline.report import report_run
-from recast.pipeline.rollouts import announce_planner, require_distinct_planners
 from recast.pipeline.run_folder import RunFolder
 from recast.pipeline.scores import read_metrics, write_metrics
 from recast.pipeline.sources import RECIPES, SourceLog, Sources

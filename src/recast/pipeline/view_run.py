@@ -20,7 +20,8 @@ from recast.logs import DrivingLog, HdMap, map_of, read_log
 from recast.pipeline.arms import Arm
 from recast.pipeline.config import RunConfig
 from recast.pipeline.layout import ACTOR_FOLDER, rollout_name, use_name, use_parts
-from recast.pipeline.rollouts import films, read_rollout, rollout_setup, run_mounts
+from recast.pipeline.planner_cameras import run_mounts
+from recast.pipeline.rollouts import films, read_rollout, rollout_setup
 from recast.pipeline.run_folder import RunFolder
 from recast.planning import Plan, Planner, PlannerInput, PlanningContext, make_planner
 from recast.scene import SceneConfig, StreetScene, load_scene

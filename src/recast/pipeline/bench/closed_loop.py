@@ -31,7 +31,7 @@ from recast.pipeline.bench.schedule import SceneDesk, Schedule, Times
 from recast.pipeline.bench.verdict_tables import parts_table, truth_table
 from recast.pipeline.bench.worker import BenchWorker, Workers
 from recast.pipeline.display import failure_lines
-from recast.pipeline.rollouts import (
+from recast.pipeline.planner_cameras import (
     announce_planner,
     planner_mounts,
     require_distinct_planners,
