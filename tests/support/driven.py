@@ -9,11 +9,16 @@ import numpy as np
 
 from recast.arrays import Image
 from recast.logs.types import DrivingLog
+from recast.planning import Planner
 from recast.protocols.alpasim.driver import AlpaSimDriver
 from recast.simulation import (
     MOTIONS,
+    Rollout,
+    RolloutFailure,
     RolloutSetup,
     SimState,
+    failure,
+    run_rollout,
 )
 from recast.simulation.renderer import Mounted
 from simulation.synthetic_drives import drive
@@ -32,6 +37,21 @@ def setup_of(log: DrivingLog | None = None, steps: int = 30, **options: Any) -> 
     log = drive() if log is None else log
     track = next(iter(log.tracks))
     return RolloutSetup(log, track, MOTIONS["advancing-a"], steps=steps, **options)
+
+
+def failure_of(setup: RolloutSetup, planner: Planner) -> RolloutFailure:
+    """The failure of a rollout, which must not end well."""
+    result = attempt(setup, planner)
+    assert isinstance(result, RolloutFailure)
+    return result
+
+
+def attempt(setup: RolloutSetup, planner: Planner) -> Rollout | RolloutFailure:
+    """A rollout, or why there is none."""
+    try:
+        return run_rollout(setup, planner)
+    except Exception as error:
+        return failure(setup, planner.name, error)
 
 
 class Noise(Mounted):

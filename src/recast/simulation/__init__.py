@@ -26,11 +26,9 @@ from recast.simulation.rollout import (
 from recast.simulation.rollout_files import load_rollout, save_rollout
 from recast.simulation.running import (
     OnFrame,
-    RolloutJob,
     error_fields,
     failure,
     probe_path,
-    run_batch,
     run_rollout,
 )
 from recast.simulation.scenario import (
@@ -76,7 +74,6 @@ __all__ = [
     "RoadSurface",
     "Rollout",
     "RolloutFailure",
-    "RolloutJob",
     "RolloutOrigin",
     "RolloutSettings",
     "RolloutSetup",
@@ -106,7 +103,6 @@ __all__ = [
     "probe_path",
     "read_scenario",
     "replaced_tracks",
-    "run_batch",
     "run_rollout",
     "save_rollout",
     "scenario_name",

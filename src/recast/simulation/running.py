@@ -1,11 +1,10 @@
-"""Running planners: through one rollout, through many of which one may fail, on an empty plane."""
+"""Running planners: through a rollout, which may fail, and on an empty plane."""
 
 from __future__ import annotations
 
 import traceback
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -99,45 +98,6 @@ def _finishing(planner: Planner) -> Iterator[None]:
             finish()
         raise
     finish()
-
-
-OnDone = Callable[["RolloutJob", Rollout | RolloutFailure, Timings], None]
-
-
-@dataclass(frozen=True)
-class RolloutJob:
-    """The arguments of one `run_rollout`."""
-
-    setup: RolloutSetup
-    planner: Planner
-    renderer: SensorRenderer | None = None
-    on_frame: OnFrame | None = None
-
-
-def run_batch(
-    jobs: Iterable[RolloutJob], on_done: OnDone | None = None
-) -> list[Rollout | RolloutFailure]:
-    """Run jobs one after the other.
-
-    Args:
-        on_done: called after each, for progress and for saving early.
-
-    Returns:
-        In the order of the jobs, a rollout or the reason why there is none. Only interrupts and
-        errors of `on_done` end the batch.
-    """
-    results: list[Rollout | RolloutFailure] = []
-    for job in jobs:
-        timings = Timings()
-        result: Rollout | RolloutFailure
-        try:
-            result = run_rollout(job.setup, job.planner, job.renderer, job.on_frame, timings)
-        except Exception as error:
-            result = failure(job.setup, job.planner.name, error)
-        results.append(result)
-        if on_done is not None:
-            on_done(job, result, timings)
-    return results
 
 
 def failure(setup: RolloutSetup, planner: str, error: Exception) -> RolloutFailure:

@@ -13,7 +13,7 @@ file that another library is about to read. For each of them holds:
 """
 
 from recast.tables.arrow import ROW_LIMIT, Table, check_batches, read_feather
-from recast.tables.npy import npy_header, npz_array, npz_names, open_npz, read_npy, read_npz
+from recast.tables.npy import npz_array, npz_names, open_npz, read_npy, read_npz
 from recast.tables.parquet import ParquetRows, read_parquet
 
 __all__ = [
@@ -21,7 +21,6 @@ __all__ = [
     "ParquetRows",
     "Table",
     "check_batches",
-    "npy_header",
     "npz_array",
     "npz_names",
     "open_npz",

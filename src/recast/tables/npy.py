@@ -7,9 +7,8 @@ import math
 import zipfile
 import zlib
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
-from typing import IO, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,28 +25,6 @@ _HEADERS = {
 }
 
 
-@dataclass(frozen=True)
-class NpyHeader:
-    """What a .npy file says of its array.
-
-    Attributes:
-        shape: shape of the array.
-        dtype: numbers, bool or fixed text; no objects, no fields.
-        fortran: whether the first axis lies densest.
-        start: offset in bytes at which the values begin.
-    """
-
-    shape: tuple[int, ...]
-    dtype: np.dtype[Any]
-    fortran: bool
-    start: int
-
-    @property
-    def size(self) -> int:
-        """Bytes of the values."""
-        return math.prod(self.shape) * self.dtype.itemsize
-
-
 def read_npy(path: Path, mend: str, limit: int = NPY_LIMIT) -> NDArray[Any]:
     """The array of a .npy file.
 
@@ -62,19 +39,6 @@ def read_npy(path: Path, mend: str, limit: int = NPY_LIMIT) -> NDArray[Any]:
     if not path.is_file():
         raise InputError(path, "file", "is missing", mend)
     return _array(path, "array", read_bytes(path, limit), mend)
-
-
-def npy_header(path: Path, mend: str) -> NpyHeader:
-    """The header of a .npy file whose values are all there: what `np.load` may then map.
-
-    Raises:
-        InputError: see `read_npy`.
-    """
-    path = Path(path)
-    if not path.is_file():
-        raise InputError(path, "file", "is missing", mend)
-    with disk_errors(path), path.open("rb") as stream:
-        return _header(path, "array", stream, path.stat().st_size, mend)
 
 
 def read_npz(
@@ -147,15 +111,7 @@ def npz_array(
 
 
 def _array(path: Path, field: str, data: bytes, mend: str) -> NDArray[Any]:
-    header = _header(path, field, io.BytesIO(data), len(data), mend)
-    try:
-        values = np.frombuffer(data, header.dtype, math.prod(header.shape), header.start)
-        return values.reshape(header.shape, order="F" if header.fortran else "C").copy()
-    except (ValueError, OverflowError) as error:  # an axis too long, beside one of length 0
-        raise InputError(path, field, f"cannot be of its shape ({error})", mend) from None
-
-
-def _header(path: Path, field: str, stream: IO[bytes], size: int, mend: str) -> NpyHeader:
+    stream = io.BytesIO(data)
     try:
         read = _HEADERS[np.lib.format.read_magic(stream)]
         shape, fortran, dtype = read(stream)
@@ -167,10 +123,14 @@ def _header(path: Path, field: str, stream: IO[bytes], size: int, mend: str) -> 
         raise InputError(path, field, problem, mend)
     if dtype.kind not in "biufcSUmM" or not dtype.itemsize:
         raise InputError(path, field, f"holds {str(dtype)[:40]}, not plain values", mend)
-    header = NpyHeader(tuple(shape), dtype, bool(fortran), stream.tell())
     if any(length < 0 for length in shape):
         raise InputError(path, field, f"has the shape {shape}", mend)
-    if header.size != size - header.start:
-        problem = f"says {header.size} bytes of values, {size - header.start} are there"
-        raise InputError(path, field, problem, mend)
-    return header
+    start, count = stream.tell(), math.prod(shape)
+    if count * dtype.itemsize != len(data) - start:
+        told = f"{count * dtype.itemsize} bytes of values, {len(data) - start} are there"
+        raise InputError(path, field, f"says {told}", mend)
+    try:
+        values = np.frombuffer(data, dtype, count, start)
+        return values.reshape(shape, order="F" if fortran else "C").copy()
+    except (ValueError, OverflowError) as error:  # an axis too long, beside one of length 0
+        raise InputError(path, field, f"cannot be of its shape ({error})", mend) from None

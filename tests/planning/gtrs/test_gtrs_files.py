@@ -275,7 +275,7 @@ def test_any_vocabulary_file(dtype: type[np.floating[Any]], tmp_path: Path) -> N
         (np.zeros((3, 40, 3), np.int64), r"int64"),
         (np.full((3, 40, 3), np.inf), r"trajectory 0 holds NaN or infinity \(3 of 3"),
         (np.full((3, 40, 3), 1e300), r"trajectory 0 holds NaN or infinity"),
-        (np.array([[None]]), r"cannot be read"),
+        (np.array([[None]]), "pickled Python objects"),
     ],
 )
 def test_files_that_are_no_vocabulary(array: np.ndarray, message: str, tmp_path: Path) -> None:
@@ -294,7 +294,7 @@ def test_broken_vocabulary_files(content: bytes, tmp_path: Path) -> None:
     path.write_bytes(content)
     assert str(path) in _refusal(lambda: read_vocabulary(path))
     np.savez(tmp_path / "several.npz", a=fan(2))
-    assert "several arrays" in _refusal(lambda: read_vocabulary(tmp_path / "several.npz"))
+    assert "damaged header" in _refusal(lambda: read_vocabulary(tmp_path / "several.npz"))
     assert "is missing" in _refusal(lambda: read_vocabulary(tmp_path / "none.npy"))
 
 

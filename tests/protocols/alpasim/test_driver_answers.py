@@ -22,11 +22,9 @@ from recast.protocols.alpasim.poses import pose_message
 from recast.simulation import (
     Rollout,
     RolloutFailure,
-    RolloutJob,
-    run_batch,
     run_rollout,
 )
-from support.driven import planner_of, setup_of
+from support.driven import attempt, failure_of, planner_of, setup_of
 from support.fake_driver import FakeDriver, driving, follow
 
 
@@ -35,7 +33,7 @@ def changed(change: Callable[[Any, int], Any], **options: Any) -> tuple[FakeDriv
     driver = FakeDriver(change=change)
     with driving(driver) as port:
         planner = planner_of(port, **options)
-        (result,) = run_batch([RolloutJob(setup_of(steps=80), planner)])
+        result = attempt(setup_of(steps=80), planner)
     assert driver.refused == []
     assert driver.sessions == {}, "the session is not closed"
     return driver, result
@@ -121,7 +119,7 @@ def test_a_driver_that_never_plans_fails() -> None:
     assert "drive: gave no plan within the first 4 s; see the driver's log" in failed.reason
     assert driver.calls.count("drive") == 9
     with driving(FakeDriver(change=lambda reply, number: empty(reply))) as port:
-        (short,) = run_batch([RolloutJob(setup_of(steps=20), planner_of(port))])
+        short = failure_of(setup_of(steps=20), planner_of(port))
     assert "drive: gave no plan in the whole rollout; see the driver's log" in short.reason
 
 

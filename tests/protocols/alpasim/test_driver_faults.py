@@ -24,13 +24,9 @@ from recast.protocols.alpasim.calls import ServiceClient
 from recast.protocols.alpasim.driver import AlpaSimDriver
 from recast.protocols.alpasim.poses import pose_message, read_pose
 from recast.simulation import (
-    Rollout,
-    RolloutFailure,
-    RolloutJob,
-    run_batch,
     run_rollout,
 )
-from support.driven import QUICK, Noise, planner_of, setup_of
+from support.driven import QUICK, Noise, failure_of, planner_of, setup_of
 from support.fake_driver import FakeDriver, driving
 from support.tiny_served import MOUNTS, serving
 
@@ -67,14 +63,13 @@ def test_a_driver_that_is_killed_costs_its_rollout_and_may_come_back() -> None:
     with process() as (child, port):
         planner = Killing(f"127.0.0.1:{port}", (), pauses=QUICK)
         planner.child = child
-        failed, absent = run_batch([RolloutJob(setup_of(), planner)] * 2)
+        killed, absent = (failure_of(setup_of(), planner) for _ in range(2))
     with process(port):
-        (back,) = run_batch([RolloutJob(setup_of(), planner)])
-    for row, method in ((failed, "submit_egomotion_observation"), (absent, "get_version")):
-        assert isinstance(row, RolloutFailure)
+        back = run_rollout(setup_of(), planner)
+    for row, method in ((killed, "submit_egomotion_observation"), (absent, "get_version")):
         assert row.reason.startswith(f"127.0.0.1:{port}: {method}: UNAVAILABLE: ")
         assert row.reason.endswith("; start the driver, or name its host and port")
-    assert isinstance(back, Rollout) and back.steps_run == 30
+    assert back.steps_run == 30
 
 
 def test_a_slow_driver_is_given_up(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -94,9 +89,9 @@ def test_a_slow_driver_is_given_up(monkeypatch: pytest.MonkeyPatch) -> None:
     driver = FakeDriver(change=wait)
     with driving(driver) as port:
         try:
-            (cut,) = run_batch([RolloutJob(setup_of(plan_limit_s=1.0), planner_of(port))])
+            cut = failure_of(setup_of(plan_limit_s=1.0), planner_of(port))
             monkeypatch.setattr(module.DriverSession, "drive", impatient)
-            (late,) = run_batch([RolloutJob(setup_of(), planner_of(port))])
+            late = failure_of(setup_of(), planner_of(port))
         finally:
             go_on.set()
     assert re.search("drive: DEADLINE_EXCEEDED: .*; give the driver more time, or", late.reason)
@@ -107,9 +102,9 @@ def test_a_slow_driver_is_given_up(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_all_results_of_a_process_are_of_one_version() -> None:
     with driving(FakeDriver()) as port:
         planner = planner_of(port)
-        assert isinstance(run_batch([RolloutJob(setup_of(), planner)])[0], Rollout)
+        run_rollout(setup_of(), planner)
     with driving(FakeDriver(version="fake-driver-2"), port):
-        (row,) = run_batch([RolloutJob(setup_of(), planner)])
+        row = failure_of(setup_of(), planner)
     assert row.reason.endswith(
         "get_version: the driver is now fake-driver-2, git abc, API 0.54.0, it was fake-driver-1, "
         "git abc, API 0.54.0; begin again with one driver"

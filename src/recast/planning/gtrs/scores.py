@@ -19,6 +19,7 @@ from recast.core.files import atomic_file
 from recast.core.records import Record
 from recast.planning.gtrs.head import IMITATION
 from recast.planning.types import WAYPOINTS
+from recast.tables import read_npy
 
 Trajectories = NDArray[np.float32]
 
@@ -55,16 +56,7 @@ def read_vocabulary(path: str | Path) -> Trajectories:
         InputError: the file is missing, is no array of numbers, or `check_vocabulary` refuses it.
     """
     path = Path(path)
-    if not path.is_file():
-        raise InputError(path, "vocabulary", "is missing or no file", "check the path")
-    try:
-        # Mapped first: what the header claims is checked before memory is asked for.
-        array = np.load(path, mmap_mode="r", allow_pickle=False)
-    except Exception as error:  # NumPy reads headers as Python literals, and raises as that does
-        raise InputError(path, "vocabulary", f"cannot be read ({error})", _MEND) from None
-    if not isinstance(array, np.ndarray):
-        raise InputError(path, "vocabulary", "holds several arrays", _MEND)
-    return check_vocabulary(path, array)
+    return check_vocabulary(path, read_npy(path, _MEND))
 
 
 def check_vocabulary(where: str | Path, array: NDArray[np.generic] | Tensor) -> Trajectories:

@@ -1,3 +1,5 @@
+"""Rollouts that fail: the row of a report that says why."""
+
 from __future__ import annotations
 
 from dataclasses import replace
@@ -5,15 +7,14 @@ from dataclasses import replace
 import pytest
 from synthetic_drives import drive
 
-from recast.planning import ConstantVelocity, LogReplay, Plan, PlannerInput
+from recast.planning import ConstantVelocity, Plan, PlannerInput
 from recast.simulation import (
     MOTIONS,
-    Rollout,
     RolloutFailure,
-    RolloutJob,
     RolloutSetup,
     error_fields,
-    run_batch,
+    failure,
+    run_rollout,
 )
 from recast.simulation.running import TRACEBACK_LIMIT
 
@@ -27,24 +28,14 @@ class Failing(ConstantVelocity):
         return super().plan(observation)
 
 
-def jobs() -> list[RolloutJob]:
+def test_a_planner_that_raises_is_a_row() -> None:
     setup = RolloutSetup(drive(seconds=6), "7", MOTIONS["cut-in-a"], steps=20)
-    return [
-        RolloutJob(setup, ConstantVelocity()),
-        RolloutJob(setup, Failing()),
-        RolloutJob(RolloutSetup(drive(seconds=6), "none", MOTIONS["cut-in-b"]), LogReplay()),
-        RolloutJob(setup, LogReplay()),
-    ]
-
-
-def test_failures_become_rows_and_the_rest_goes_on() -> None:
-    first, failed, refused, last = run_batch(jobs())
-    assert isinstance(first, Rollout)
-    assert isinstance(last, Rollout)
-    assert isinstance(failed, RolloutFailure)
-    assert "in plan\n" in failed.traceback
-    assert failed.traceback.endswith("ZeroDivisionError: no road left\n")
-    assert replace(failed, traceback="") == RolloutFailure(
+    with pytest.raises(ZeroDivisionError) as raised:
+        run_rollout(setup, Failing())
+    row = failure(setup, "failing", raised.value)
+    assert "in plan\n" in row.traceback
+    assert row.traceback.endswith("ZeroDivisionError: no road left\n")
+    assert replace(row, traceback="") == RolloutFailure(
         name="cut-in-a-scene",
         arm="scene",
         track_id="7",
@@ -54,25 +45,6 @@ def test_failures_become_rows_and_the_rest_goes_on() -> None:
         error="ZeroDivisionError",
         reason="no road left",
     )
-    assert isinstance(refused, RolloutFailure)
-    assert refused.error == "InputError"
-    assert "track none: is not in the log" in refused.reason
-
-
-def test_each_result_is_told_at_once() -> None:
-    told: list[tuple[str, str]] = []
-    run_batch(jobs(), lambda job, result, timings: told.append((job.planner.name, result.planner)))
-    assert told == [(n, n) for n in ("constant-velocity", "failing", "log-replay", "log-replay")]
-
-
-def test_an_interrupt_ends_the_batch() -> None:
-    class Interrupted(ConstantVelocity):
-        def plan(self, observation: PlannerInput) -> Plan:
-            raise KeyboardInterrupt
-
-    setup = RolloutSetup(drive(seconds=6), "7", MOTIONS["cut-in-a"], steps=20)
-    with pytest.raises(KeyboardInterrupt):
-        run_batch([RolloutJob(setup, Interrupted())])
 
 
 def test_a_traceback_keeps_its_end() -> None:
