@@ -81,7 +81,12 @@ def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def make_grid(
-    grid: Path, log: Path, scenes: int = 2, views: tuple[object, ...] = (VIEW,), oracle: bool = True
+    grid: Path,
+    log: Path,
+    scenes: int = 2,
+    views: tuple[object, ...] = (VIEW,),
+    oracle: bool = True,
+    config: RunConfig = CONFIG,
 ) -> Path:
     """The native actor is hit in setting a, where the true one is not; in b nothing is.
 
@@ -91,7 +96,7 @@ def make_grid(
     for number in range(scenes):
         scene, used = BenchScene(f"street-{number}", log=log, track="7"), {}
         for setting in ("a", "b"):
-            for arm in CONFIG.arms:
+            for arm in config.arms:
                 hits = setting == "a" and not arm.is_truth and arm.noise != "jitter"
                 one = rollout(setting, arm.name, 3.0 if hits else -0.1 * number)
                 use = rollout_name(f"cut-in-{setting}", "p", arm.name)
@@ -101,14 +106,14 @@ def make_grid(
                 )
         out = grid / "scenes" / scene.id
         folder = RunFolder.create_or_resume(
-            out, CONFIG.resolved(), log, folder_hash(log), str(store.root)
+            out, config.resolved(), log, folder_hash(log), str(store.root)
         )
         folder.refer(store, used, whole=True)
         opened = read_log(log)
-        write_metrics(out / METRICS_FILE, CONFIG, used, map_of(opened), RunTrust(opened, "7"))
+        write_metrics(out / METRICS_FILE, config, used, map_of(opened), RunTrust(opened, "7"))
         metrics = read_metrics(out / METRICS_FILE)
         names = {"p": "constant_velocity"}
-        rows += scene_rows(scene, CONFIG, "boxes", names, metrics, used, {})
+        rows += scene_rows(scene, config, "boxes", names, metrics, used, {})
     files.write_json(grid / "bench.json", {"format": "recast-closed-loop", "version": 2})
     write_rows(rows, grid / "rollouts.parquet", "oracle" if oracle else None)
     return grid
@@ -165,6 +170,23 @@ def test_a_calibration_and_its_diagrams_are_written(
     assert main(command) == 0
     assert (again / "trust.json").read_bytes() == out.read_bytes()
     assert (again / "trust.svg").read_bytes() == (tmp_path / "trust.svg").read_bytes()
+
+
+@pytest.mark.parametrize("undisturbed_first", [True, False])
+def test_a_rollout_of_two_grids_counts_once(
+    grid: Path, log: Path, tmp_path: Path, undisturbed_first: bool
+) -> None:
+    """With its flips, which only the grid with disturbed arms knows."""
+    few = CONFIG.model_copy(update={"arms": CONFIG.arms[:2]})
+    undisturbed = make_grid(tmp_path / "undisturbed", log, config=few)
+    assert not any("noise_flips" in one.features for one in judged_rollouts(undisturbed))
+    out, grids = tmp_path / "trust.json", [str(undisturbed), str(grid)]
+    grids = grids if undisturbed_first else grids[::-1]
+    assert main(["bench", "trust", *grids, "--out", str(out)]) == 0
+    calibration = read_calibration(out)
+    assert (calibration.data.rollouts, calibration.data.agreeing) == (12, 8)
+    (flips,) = (one for one in calibration.features if one.name == "noise_flips")
+    assert flips.known == 12
 
 
 def test_the_packaged_calibration_is_validated(

@@ -39,8 +39,8 @@ RECIPES = {
     "truth": 4,
     "rollout": 5,
     "scene-level": 3,
-    "metrics": 4,
-    "report": 5,
+    "metrics": 5,
+    "report": 6,
 }
 """Version of what recast's own code makes of the inputs of a step.
 

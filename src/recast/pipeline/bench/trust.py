@@ -143,16 +143,29 @@ def _print(found: Reliability, title: str, console: Console) -> None:
 
 
 def _all_rollouts(grids: Sequence[Path], console: Console) -> list[JudgedRollout]:
-    found = []
+    """Those of several grids; one that two of them have counts once, with its flips if known."""
+    found: list[JudgedRollout] = []
     for grid in grids:
+        places = {_identity(one): place for place, one in enumerate(found)}
         rollouts = judged_rollouts(grid)
         if not rollouts:
             problem = "no planner of the grid looks at images"
             raise InputError(grid, "rollouts", problem, "name a grid of another planner")
         words = f"{printable(str(grid))}: {len(rollouts)} rollouts"
         console.print(words, markup=False, highlight=False)
-        found += rollouts
+        for one in rollouts:
+            place = places.get(_identity(one))
+            if place is None:
+                found.append(one)
+            elif "noise_flips" in one.features:
+                found[place] = one
     return found
+
+
+def _identity(one: JudgedRollout) -> tuple[object, ...]:
+    """What tells rollouts apart: their features are measured, so no two have the same by chance."""
+    features = {name: value for name, value in one.features.items() if name != "noise_flips"}
+    return one.scene, one.planner, one.arm, one.agrees, *sorted(features.items())
 
 
 def _named(grids: Sequence[Path]) -> list[str]:
