@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import atexit
 import importlib
 import math
 import os
+import time
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass
@@ -63,6 +65,7 @@ class Processes:
         if int(os.environ.get("WORLD_SIZE", "1")) == 1:
             return Processes()
         state = _accelerate().PartialState(cpu=not torch.cuda.is_available())
+        atexit.register(_leave, state)
         return Processes(state.process_index, state.num_processes, torch.device(state.device))
 
     def wait(self) -> None:
@@ -96,6 +99,16 @@ class Processes:
         )
         sums, counts = _accelerate().utils.reduce(table, "sum").tolist()
         return Means(dict(zip(names, sums, strict=True)), dict(zip(names, counts, strict=True)))
+
+
+def _leave(state: Any) -> None:
+    """End the group, and let its threads free the tensors of the last collective.
+
+    Gloo's threads outlive the group (torch 2.13), and one that asks for Python's lock while the
+    interpreter ends aborts the process. Sleeping gives them the lock before.
+    """
+    state.destroy_process_group()
+    time.sleep(0.5)
 
 
 def _accelerate() -> Any:
