@@ -117,12 +117,20 @@ class Ending:
         return SimpleNamespace(nc=SimpleNamespace(value=float(self.first_collision is None)))
 
 
+@pytest.fixture(scope="module")
+def drive(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A log alone: `finished` takes half a minute, and another worker may have made it."""
+    world = make_world(SCENE, 1, 1.0)
+    path = tmp_path_factory.mktemp("drive") / "log"
+    return drive_log(world, path, (48, 32), ("front",), 1, Console(quiet=True))
+
+
 @pytest.fixture
 def choose(
-    finished: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    drive: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> Callable[..., tuple[tuple[str, ...], str]]:
     """Chooses settings for endings by setting and arm; others end in no collision."""
-    record = json.loads((finished / "run" / "run.json").read_text())
+    track = make_world(SCENE, 1, 1.0).target
 
     def chosen(*motions: str, **endings: Ending | InputError) -> tuple[tuple[str, ...], str]:
         def scored(_: object, motion: str, planner: str, arm: Any) -> Ending:
@@ -133,9 +141,9 @@ def choose(
 
         monkeypatch.setattr(demo_module, "_scored", scored)
         monkeypatch.setattr(demo_module, "prepare", lambda setup: None)  # the drive is short
-        config = RunConfig.model_validate({**record["config"], "motions": motions})
+        config = RunConfig(track=track, motions=motions, planners=(TINY.planner,), threads=1)
         told = io.StringIO()
-        names = decided(finished / "log", tmp_path, config, Console(file=told, width=200))
+        names = decided(drive, tmp_path, config, Console(file=told, width=200))
         return names, told.getvalue()
 
     return chosen
