@@ -47,7 +47,7 @@ def drawn(count: int, seed: int = 0) -> tuple[list[dict[str, float]], np.ndarray
 def rollouts(count: int = 120, scenes: int = 4) -> list[JudgedRollout]:
     values, agrees = drawn(count)
     return [
-        JudgedRollout(f"street-{i % scenes}", "p", "native", one, bool(right))
+        JudgedRollout(f"street-{i % scenes}", f"{i}", "p", "native", one, bool(right))
         for i, (one, right) in enumerate(zip(values, agrees, strict=True))
     ]
 
@@ -122,7 +122,9 @@ def test_the_area_under_the_curve_is_the_share_of_pairs_in_order(levels: int) ->
 
 def test_the_reliability_table() -> None:
     agrees = [True, True, False, True, False]
-    some = [JudgedRollout(str(i), "p", "a", {"collision": 0.0}, a) for i, a in enumerate(agrees)]
+    some = [
+        JudgedRollout(str(i), "s", "p", "a", {"collision": 0.0}, a) for i, a in enumerate(agrees)
+    ]
     found = reliability(some, [1.0, 0.85, 0.9, 0.2, 0.1])
     assert [(one.count, one.agreeing) for one in found.bins] == [
         (1, 0.0),

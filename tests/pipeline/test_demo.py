@@ -118,19 +118,19 @@ class Ending:
 
 
 @pytest.fixture(scope="module")
-def drive(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A log alone: `finished` takes half a minute, and another worker may have made it."""
+def drive(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
+    """A log alone, and its target: `finished` takes half a minute, maybe in each worker."""
     world = make_world(SCENE, 1, 1.0)
     path = tmp_path_factory.mktemp("drive") / "log"
-    return drive_log(world, path, (48, 32), ("front",), 1, Console(quiet=True))
+    return drive_log(world, path, (48, 32), ("front",), 1, Console(quiet=True)), world.target
 
 
 @pytest.fixture
 def choose(
-    drive: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    drive: tuple[Path, str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> Callable[..., tuple[tuple[str, ...], str]]:
     """Chooses settings for endings by setting and arm; others end in no collision."""
-    track = make_world(SCENE, 1, 1.0).target
+    log, track = drive
 
     def chosen(*motions: str, **endings: Ending | InputError) -> tuple[tuple[str, ...], str]:
         def scored(_: object, motion: str, planner: str, arm: Any) -> Ending:
@@ -143,7 +143,7 @@ def choose(
         monkeypatch.setattr(demo_module, "prepare", lambda setup: None)  # the drive is short
         config = RunConfig(track=track, motions=motions, planners=(TINY.planner,), threads=1)
         told = io.StringIO()
-        names = decided(drive, tmp_path, config, Console(file=told, width=200))
+        names = decided(log, tmp_path, config, Console(file=told, width=200))
         return names, told.getvalue()
 
     return chosen

@@ -13,8 +13,11 @@ from recast.reporting.figure import FAINT, INK, Figure
 
 _PAPER, _DARK, _LINES = "#ffffff", "#1f2430", "#d5d8de"
 """Colours of a picture that no page gives its own."""
-_LARGEST, _SMALLEST = 14.0, 3.0
-"""Radius in pixels of the bin with the most rollouts, and of any; areas go with counts."""
+_LARGEST, _SMALLEST = 10.0, 3.0
+"""Radius in pixels of the bin with the most rollouts, and of any; areas go with counts.
+
+The largest dot stays whole at a trust of 1, 10 pixels from the picture's edge.
+"""
 
 
 def reliability_svg(found: Reliability) -> str:

@@ -21,12 +21,14 @@ class JudgedRollout:
 
     Attributes:
         scene: its id; rollouts of one scene are alike.
+        scenario: motion and setting of the actor.
         planner, arm: the rollout's fields of the same names, see `Rollout`.
         features: features by name, see `recast.evaluation.trust.FEATURES`.
         agrees: whether its verdict is that of the truth.
     """
 
     scene: str
+    scenario: str
     planner: str
     arm: str
     features: Mapping[str, float]

@@ -106,7 +106,8 @@ def judged_rollouts(grid: Path) -> list[JudgedRollout]:
                 continue
             features = run.trust.features(one)
             if features is not None:
-                name = (scene, rollout.planner, rollout.arm)
+                scenario = f"{rollout.motion}-{rollout.setting}"
+                name = (scene, scenario, rollout.planner, rollout.arm)
                 found.append(JudgedRollout(*name, features.values, verdicts[key]))
     return found
 
@@ -144,9 +145,8 @@ def _print(found: Reliability, title: str, console: Console) -> None:
 
 def _all_rollouts(grids: Sequence[Path], console: Console) -> list[JudgedRollout]:
     """Those of several grids; one that two of them have counts once, with its flips if known."""
-    found: list[JudgedRollout] = []
+    found: dict[tuple[object, ...], JudgedRollout] = {}
     for grid in grids:
-        places = {_identity(one): place for place, one in enumerate(found)}
         rollouts = judged_rollouts(grid)
         if not rollouts:
             problem = "no planner of the grid looks at images"
@@ -154,18 +154,22 @@ def _all_rollouts(grids: Sequence[Path], console: Console) -> list[JudgedRollout
         words = f"{printable(str(grid))}: {len(rollouts)} rollouts"
         console.print(words, markup=False, highlight=False)
         for one in rollouts:
-            place = places.get(_identity(one))
-            if place is None:
-                found.append(one)
-            elif "noise_flips" in one.features:
-                found[place] = one
-    return found
+            if "noise_flips" in one.features:
+                found[_identity(one)] = one
+            else:
+                found.setdefault(_identity(one), one)
+    return list(found.values())
 
 
 def _identity(one: JudgedRollout) -> tuple[object, ...]:
-    """What tells rollouts apart: their features are measured, so no two have the same by chance."""
+    """What tells the rollouts of all grids apart.
+
+    Two grids may have a scene of the same name in another size, so the features belong to it; the
+    key of a stored rollout does not serve, as films change it and not the drive.
+    """
     features = {name: value for name, value in one.features.items() if name != "noise_flips"}
-    return one.scene, one.planner, one.arm, one.agrees, *sorted(features.items())
+    named = one.scene, one.scenario, one.planner, one.arm
+    return *named, one.agrees, *sorted(features.items())
 
 
 def _named(grids: Sequence[Path]) -> list[str]:
