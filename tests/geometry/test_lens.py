@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 import pytest
 import torch
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from ncore.impl.data import types as ncore
 from ncore.impl.sensors.camera import FThetaCameraModel, OpenCVFisheyeCameraModel
@@ -67,6 +67,7 @@ def test_any_rational_lens_gives_a_ray_that_comes_back_or_none(
 
 @settings(max_examples=60, deadline=None)
 @given(st.tuples(*[NUMBERS] * 4), st.floats(0.2, np.pi), st.floats(0.0, 1.0), st.booleans())
+@example((0.0, 0.0, -0.5380625888073881, 0.9999999999999999), 2.00001, 1.0, False)  # on the limit
 def test_any_radial_lens_gives_an_angle_that_comes_back_or_none(
     numbers: tuple[float, ...], most: float, share: float, angles: bool
 ) -> None:

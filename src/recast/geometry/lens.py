@@ -219,9 +219,9 @@ class RadialLens:
         angle = np.arctan2(across, directions[..., 2])
         limit = self._limit
         if self.gives == "distance":
-            seen, distance = angle <= limit, self._value(angle)
+            seen, distance = _within(angle, limit), self._value(angle)
         else:
-            seen, distance = angle <= self._value(np.array(limit)), self._inverse(angle)
+            seen, distance = _within(angle, self._value(np.array(limit))), self._inverse(angle)
         flat = xy * (distance / np.maximum(across, 1e-300))[..., None]
         pixels = flat @ np.transpose(self.matrix) + [self.cx, self.cy]
         return np.where(seen[..., None], pixels, np.nan)
@@ -232,9 +232,9 @@ class RadialLens:
         distance = np.linalg.norm(flat, axis=-1)
         limit = self._limit
         if self.gives == "distance":
-            seen, angle = distance <= self._value(np.array(limit)), self._inverse(distance)
+            seen, angle = _within(distance, self._value(np.array(limit))), self._inverse(distance)
         else:
-            seen, angle = distance <= limit, self._value(np.minimum(distance, limit))
+            seen, angle = _within(distance, limit), self._value(np.minimum(distance, limit))
         xy = flat * (np.sin(angle) / np.maximum(distance, 1e-300))[..., None]
         rays = np.concatenate([xy, np.cos(angle)[..., None]], axis=-1)
         return np.where(seen[..., None], rays, np.nan)
@@ -273,6 +273,14 @@ class RadialLens:
             if np.max(np.abs(step), initial=0.0) < 1e-15 * limit:
                 break
         return np.asarray(found)
+
+
+def _within(values: Array, limit: float | Array) -> Array:
+    """Whether values do not exceed the limit, up to their own rounding.
+
+    What lies on the limit comes back from pixel or ray a few units in the last place beside it.
+    """
+    return np.asarray(values <= limit * (1 + 1e-12))
 
 
 def fisheye_lens(
