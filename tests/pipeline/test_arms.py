@@ -68,10 +68,14 @@ def test_a_file_of_arms(tmp_path: Path, suffix: str) -> None:
     assert (ours.name, ours.refine, theirs.street) == ("ours", False, "omnire")
 
 
+# Each list holds the one before ten times: 20 million values in 400 bytes.
+_LISTS = ", ".join(f"&a{n} [" + ", ".join([f"*a{n - 1}"] * 10) + "]" for n in range(1, 8))
+ALIASES = f"[&a0 [x, x], {_LISTS}]"
+
 BAD = [
     ("[", "cannot be read"),
-    ("{}", "are no list"),
-    ("[]", "are no list"),
+    ("{}", "not a list"),
+    ("[]", "not a list"),
     ('[{"name": "x", "vehicle": "magic"}]', "vehicle"),
     ('[{"name": "", "vehicle": "own"}]', "name"),
     ('[{"name": "x", "street": "truth", "vehicle": "own"}]', "no reconstruction"),
@@ -81,7 +85,15 @@ BAD = [
     ('[{"name": "x", "vehicle": "none", "relit": false}]', "only a generated"),
     ('[{"name": "x", "vehicle": "own", "generator": "template"}]', "only a generated"),
     ('[{"name": "x", "vehicle": "own", "colour": "red"}]', "colour"),
-    ("!!python/object/apply:os.system ['true']", "cannot be read"),
+    ("!!python/object/apply:os.system ['true']", "remove the tag"),
+    ("- {vehicle: own, name: x, views: !!float x}", r"arms.yaml:1: views"),
+    ("- {vehicle: own, name: x, views: !!int ''}", "views"),
+    ("- {vehicle: own, name: x, views: !!bool maybe}", "views"),
+    ("- {vehicle: own, name: x, views: 2001-99-99}", "views"),
+    ("- &a {vehicle: own, name: *a}", "alias of itself"),
+    ("- {vehicle: own, name: x}\n- {vehicle: own, nam: y}", r"arms.yaml:2: nam"),
+    (f"- {{vehicle: own, name: {ALIASES}}}", "more than 10000 values"),
+    (f"- {{vehicle: own, name: {'[' * 400}{']' * 400}}}", "nested too deeply"),
 ]
 
 

@@ -4,14 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
-
-import yaml
-from pydantic import ValidationError
 
 from recast.core import files
 from recast.core.errors import InputError
-from recast.core.records import validation_error
+from recast.core.records import validated
+from recast.core.yaml_lines import nodes_of, read_yaml_file
 from recast.pipeline.arms import NOISES, OWN_STREET, PRESETS, TRUTH, Arm, default_arms
 from recast.pipeline.decomposition import DECOMPOSITION, decomposition_arms
 from recast.pipeline.paper import PAPER, paper_arms
@@ -95,15 +92,10 @@ def _combined(word: str, street: str, vehicle: str) -> Arm:
 
 
 def _read_arms(path: Path) -> Sequence[Arm]:
-    text = files.read_text(path, _LARGEST_FILE)
-    try:
-        values: Any = yaml.safe_load(text)
-    except (yaml.YAMLError, RecursionError) as error:
-        reason = str(error).splitlines()[0]
-        raise InputError(path, "arms", f"cannot be read ({reason})", _MEND) from None
-    if not isinstance(values, list) or not values:
-        raise InputError(path, "arms", "are no list", _MEND)
-    try:
-        return [Arm.model_validate(value) for value in values]
-    except ValidationError as error:
-        raise validation_error(path, error, _MEND) from None
+    if path.suffix.lower() == ".json":
+        values = nodes_of(files.read_json(path), str(path))
+    else:
+        values = read_yaml_file(path, _LARGEST_FILE)
+    if not isinstance(values.value, list) or not values.value:
+        raise InputError(path, "arms", "is not a list of arms", _MEND)
+    return [validated(node.place, node.plain, Arm, _MEND) for node in values.value]

@@ -8,8 +8,8 @@ from difflib import get_close_matches
 from pathlib import Path
 from typing import Any
 
-from recast.core import files
 from recast.core.errors import InputError
+from recast.core.yaml_lines import Node, nodes_of, read_yaml_file
 from recast.logs.checks import check_name
 from recast.simulation.actor_motion import AnyMotion, Quantity, Rows
 from recast.simulation.scenario import (
@@ -26,7 +26,6 @@ from recast.simulation.scenario import (
     motion_rows,
     target_motion,
 )
-from recast.simulation.yaml_lines import Node, nodes_of, read_yaml
 
 _WORD = re.compile(r"[a-z0-9]+(-[a-z0-9]+)*")
 _LONGEST_WORD = 40  # names become folder names
@@ -41,7 +40,7 @@ def read_scenario(path: str | Path) -> tuple[ScriptedMotion, ...]:
     Raises:
         InputError: the file cannot be read, or says something wrong: names file, line and key.
     """
-    return _motions(read_yaml(_text(Path(path)), str(path)))
+    return _motions(read_yaml_file(path, _LARGEST_FILE))
 
 
 def scenario_record(motion: ScriptedMotion) -> dict[str, Any]:
@@ -88,16 +87,6 @@ def _kind(motion: AnyMotion) -> str:
         problem = f"is a {type(motion).__name__}, which no scenario file can describe"
         raise InputError("scenario", f"motion {motion.name}", problem, "use a motion of recast")
     return kind
-
-
-def _text(path: Path) -> str:
-    mend = "name a scenario file, see docs/scenarios.md"
-    data = files.read_bytes(path, _LARGEST_FILE)
-    try:
-        return data.decode("utf-8-sig")
-    except UnicodeDecodeError as error:
-        line = data.count(b"\n", 0, error.start) + 1
-        raise InputError(f"{path}:{line}", "file", "is not UTF-8 text", mend) from None
 
 
 # Whatever is wrong is raised as the InputError of its node: file, line, key.

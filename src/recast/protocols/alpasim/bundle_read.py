@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from pydantic import ValidationError
@@ -17,6 +16,7 @@ from recast.arrays import Array
 from recast.core.errors import InputError
 from recast.core.files import parse_json
 from recast.core.records import validated, validation_error
+from recast.core.yaml_lines import read_yaml
 from recast.geometry import PinholeCamera, se3
 from recast.logs import checks
 from recast.logs.checks import refused
@@ -41,7 +41,6 @@ from recast.protocols.alpasim.bundle_records import (
     TrackSequence,
 )
 from recast.protocols.alpasim.usdz import read_usdz
-from recast.simulation.yaml_lines import Node, read_yaml
 
 LIMITS = {METADATA: 1 << 18, RIG: 1 << 26, TRACKS: 1 << 26, MAP: 1 << 26}
 """Most bytes of a member. Text becomes some ten times as many bytes of numbers."""
@@ -110,19 +109,10 @@ def load_alpasim(
 
 def _read_metadata(where: Path, data: bytes) -> Metadata:
     try:
-        value = _plain(read_yaml(data.decode(), str(where)))
-    except UnicodeDecodeError as error:
-        problem = f"is not UTF-8 (byte {error.start})"
-        raise InputError(where, "text", problem, _MEND) from None
+        value = read_yaml(data, str(where)).plain
     except InputError as error:
         raise InputError(error.where, error.field, error.problem, _MEND) from None
     return validated(where, value, Metadata, _MEND)
-
-
-def _plain(node: Node) -> Any:
-    if isinstance(node.value, dict):
-        return {key: _plain(one) for key, one in node.value.items()}
-    return [_plain(one) for one in node.value] if isinstance(node.value, list) else node.value
 
 
 def _ego(where: Path, rig: RigTrajectory) -> Trajectory:

@@ -15,9 +15,8 @@ from pathlib import Path
 from typing import Any, Literal
 
 from recast.core.errors import InputError
-from recast.core.files import read_text
+from recast.core.yaml_lines import Node, read_yaml_file
 from recast.logs.checks import WORLD_REACH, check_name
-from recast.simulation.yaml_lines import Node, read_yaml
 
 _LARGEST_FILE = 1_000_000
 _MOST_ACTORS = 100
@@ -109,7 +108,7 @@ def read_ncap_scenario(path: str | Path) -> NcapScenario:
             for what recast does not do: other sizes of vehicles, plans at another interval than
             0.5 s, and starts that are not the log's.
     """
-    root = _Members(read_yaml(read_text(path, _LARGEST_FILE), str(path)), ("general", "actors"))
+    root = _Members(read_yaml_file(path, _LARGEST_FILE), ("general", "actors"))
     general = _Members(root.required("general"), _GENERAL)
     for key in ("start_pose", "start_velo"):
         general.word(key, ("original",), "original")

@@ -1,4 +1,4 @@
-"""YAML as data that knows its lines, so that an error can point at one.
+"""The reader of all foreign YAML: data that knows its lines, so that an error can point at one.
 
 Nothing is constructed: only the tree of a document is read, and its scalars are text, numbers,
 truth values or nothing. Tags, which could ask for more, are refused. The tree has at most
@@ -12,16 +12,18 @@ import math
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import yaml
 
+from recast.core import files
 from recast.core.errors import InputError
 
 MOST_NODES = 10_000
 MOST_LEVELS = 20
 
-_MEND = "write it as the examples in docs/scenarios.md"
+_MEND = "write it as the examples in the documentation"
 _PLAIN_TAGS = ("str", "int", "float", "bool", "null", "map", "seq", "timestamp", "merge", "value")
 _NUMBER = re.compile(r"[-+]?([0-9]+(\.[0-9]*)?|\.[0-9]+)([eE][-+]?[0-9]+)?")
 """As people write numbers; Python's would be 1_0, nan and infinity, too."""
@@ -44,6 +46,13 @@ class Node:
     def error(self, field: str, problem: str | None, mend: str) -> InputError:
         """An error at this place; the problem is what the value is where none is given."""
         return InputError(self.place, field, problem or f"is {self.shown}", mend)
+
+    @property
+    def plain(self) -> Any:
+        """The value with plain values below it, as `json.loads` would give it."""
+        if isinstance(self.value, dict):
+            return {key: node.plain for key, node in self.value.items()}
+        return [node.plain for node in self.value] if isinstance(self.value, list) else self.value
 
     @property
     def shown(self) -> str:
@@ -71,7 +80,7 @@ def nodes_of(value: Any, where: str, levels: int = MOST_LEVELS) -> Node:
         InputError: it has more levels.
     """
     if isinstance(value, Mapping | list | tuple) and levels == 0:
-        raise InputError(where, "scenario", "is nested too deeply", _MEND)
+        raise InputError(where, "value", "is nested too deeply", _MEND)
     if isinstance(value, Mapping):
         members = {str(key): nodes_of(one, where, levels - 1) for key, one in value.items()}
         return Node(members, where)
@@ -80,16 +89,32 @@ def nodes_of(value: Any, where: str, levels: int = MOST_LEVELS) -> Node:
     return Node(_number(value) if type(value) is int else value, where)
 
 
-def read_yaml(text: str, where: str) -> Node:
+def read_yaml_file(path: str | Path, most_bytes: int) -> Node:
+    """The tree of a file of one YAML document, with or without a byte order mark.
+
+    Raises:
+        InputError: see `read_yaml`; or the file cannot be read, is too long or is not UTF-8.
+    """
+    return read_yaml(files.read_bytes(path, most_bytes), str(path))
+
+
+def read_yaml(text: str | bytes, where: str) -> Node:
     """The tree of one YAML document.
 
     Args:
+        text: document; bytes are UTF-8, with or without a byte order mark.
         where: name of its file, for errors.
 
     Raises:
-        InputError: not YAML, more than one document, a key given twice, a tag, too many nodes or
-            levels.
+        InputError: not UTF-8, not YAML, more than one document, a key given twice, a tag, too many
+            nodes or levels.
     """
+    if isinstance(text, bytes):
+        try:
+            text = text.decode("utf-8-sig")
+        except UnicodeDecodeError as error:
+            line = text.count(b"\n", 0, error.start) + 1
+            raise InputError(f"{where}:{line}", "file", "is not UTF-8 text", _MEND) from None
     try:
         loader = _Loader(text)
         loader.where = where
