@@ -7,7 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from recast.geometry import LensCamera, PinholeCamera, RationalLens
+from recast.arrays import Array
+from recast.geometry import LensCamera, PinholeCamera, RadialLens, RationalLens
 from recast.geometry.lens import fisheye_lens, ftheta_lens
 from recast.planning import Lens
 
@@ -75,11 +76,23 @@ def test_a_lens_that_sees_nothing_is_black() -> None:
     np.testing.assert_array_equal(lens.bend(), np.zeros((8, 10, 3), np.uint8))
 
 
-def test_sizes_are_checked_before_images_are_made() -> None:
+def test_sizes_are_checked_before_images_are_made(monkeypatch: pytest.MonkeyPatch) -> None:
     # The axis is magnified a thousandfold against the edge.
     steep = ftheta_lens(200, 200, 100.0, 100.0, (0.0, 1e-4, 1e-4), "angle", 1.0)
     with pytest.raises(ValueError, match="needs pinhole images of over"):
         Lens(steep, 1_000_000)
+    directions = RadialLens.rays
+    pixels = []
+
+    def counted(lens: RadialLens, uv: Array) -> Array:
+        pixels.append(uv[..., 0].size)
+        return directions(lens, uv)
+
+    monkeypatch.setattr(RadialLens, "rays", counted)
+    with pytest.raises(ValueError, match="needs pinhole images of over"):
+        Lens(steep.resized(3840, 2160), 80_000_000)
+    assert sum(pixels) < 5000  # of 8 million
+    monkeypatch.undo()
     with pytest.raises(ValueError, match="expected 6 images, got 1"):
         Lens(AROUND).bend(np.zeros((4, 4, 3), np.uint8))
     with pytest.raises(ValueError, match=r"Lens\.source: it has 6 faces"):

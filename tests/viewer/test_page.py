@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import http.client
 import socket
 import threading
 from collections.abc import Iterator
@@ -101,6 +102,40 @@ def test_only_this_machine_is_listened_to_and_no_tunnel_is_opened(page: Page) ->
     with socket.socket() as other:
         other.settimeout(1.0)
         assert other.connect_ex(("127.0.0.2", page.server.get_port())) != 0
+
+
+@pytest.mark.parametrize(
+    ("host", "origin", "status"),
+    [
+        ("", "", None),
+        ("", "http://127.0.0.1:8120", None),
+        ("", "http://example.org", 403),
+        ("", "null", 403),
+        ("", "http://127.0.0.1:9", 403),
+        ("example.org:8120", "http://example.org:8120", 403),
+    ],
+)
+def test_pages_of_other_sites_cannot_talk_to_it(
+    page: Page, host: str, origin: str, status: int | None
+) -> None:
+    place = f"127.0.0.1:{page.server.get_port()}"
+    origin = origin.replace("127.0.0.1:8120", place)
+    headers = {"Host": host or place} | ({"Origin": origin} if origin else {})
+    # The page itself.
+    asked = http.client.HTTPConnection(place)
+    asked.request("GET", "/", headers=headers)
+    response = asked.getresponse()
+    assert response.status == (status or 200)
+    if status is None:
+        assert response.headers["Content-Security-Policy"] == "frame-ancestors 'none'"
+    asked.close()
+    # Its WebSocket.
+    asked = http.client.HTTPConnection(place)
+    key = {"Sec-WebSocket-Key": "AAAAAAAAAAAAAAAAAAAAAA==", "Sec-WebSocket-Version": "13"}
+    upgrade = {"Connection": "Upgrade", "Upgrade": "websocket"} | key
+    asked.request("GET", "/", headers=headers | upgrade)
+    assert asked.getresponse().status == (status or 101)
+    asked.close()
 
 
 def test_two_pages_take_two_ports(page: Page, inputs: ViewInputs) -> None:

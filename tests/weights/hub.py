@@ -55,6 +55,7 @@ class Hub:
         ranges: whether a part of a file can be asked for.
         token: a login that repositories ask for.
         wrong_commit: what listings say instead of the commit.
+        listing: bytes of every listing, instead of its own.
         served_instead: bytes of files, by the last part of their name.
     """
 
@@ -66,6 +67,7 @@ class Hub:
     ranges: bool = True
     token: str = ""
     wrong_commit: str = ""
+    listing: bytes = b""
     served_instead: dict[str, bytes] = field(default_factory=dict)
     server: ThreadingHTTPServer | None = None
 
@@ -151,7 +153,7 @@ class Hub:
             lfs = {"lfs": {"sha256": sha, "size": size, "pointerSize": 134}}
             siblings.append(one | lfs if size >= LARGE else one)
         told = {"id": name, "sha": self.wrong_commit or commit, "siblings": siblings}
-        return self.reply(request, 200, json.dumps(told).encode())
+        return self.reply(request, 200, self.listing or json.dumps(told).encode())
 
     def send(self, request: BaseHTTPRequestHandler, path: str, content: Content) -> None:
         data = self.served_instead.get(path.rpartition("/")[2], data_of(content))

@@ -146,6 +146,32 @@ def test_a_missing_file_repository_or_answer(
     assert "HF_HUB_OFFLINE" in refusal(toy)
 
 
+def listing(name: str = "config.json", size: str = "2") -> bytes:
+    told = '{"sha": "%s", "siblings": [{"rfilename": "%s", "size": %s}]}'
+    return (told % ("0" * 40, name, size)).encode()
+
+
+@pytest.mark.parametrize(
+    ("answer", "said"),
+    [
+        (b"[" * 100_000, "nested too deeply"),
+        (b'{"sha": ' + b"[" * 900 + b"]" * 900 + b"}", "sha: Input should be a valid string"),
+        (listing(name="\\ud800.json"), "unable to parse raw data as a unicode string"),
+        (listing(name="x" * 2000), "rfilename: String should have at most 1000"),
+        (listing(size="1" + "0" * 400), "size: Input should be less than or equal to"),
+        (listing(size="1" + "0" * 5000), "JSON: cannot be read"),
+        (listing(size="1e999"), "too large a number"),
+        (listing(size="-1"), "size: Input should be greater"),
+        (b"\xff{}", "cannot be read"),
+        (b"[]", "record: Input should be"),
+    ],
+)
+def test_hostile_listings_are_one_line(hub: Hub, toy: Weights, answer: bytes, said: str) -> None:
+    hub.listing = answer
+    assert said in refusal(toy)
+    assert not weights_folder("toy").exists()
+
+
 def test_a_disk_that_is_too_small_is_told_before_the_first_byte(
     hub: Hub, toy: Weights, monkeypatch: pytest.MonkeyPatch
 ) -> None:

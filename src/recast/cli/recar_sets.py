@@ -11,6 +11,7 @@ import tyro
 
 from recast.cli import shared
 from recast.cli.output import console_for
+from recast.core import diagnostics
 
 
 @dataclass(frozen=True)
@@ -211,6 +212,7 @@ class Screen:
         cache = TargetCache.open(self.cache, complete=False)
         service = ScreeningService(cache, None if self.set is None else open_set(self.set))
         console = console_for(False)
+        diagnostics.show_warnings()
         with ScreeningServer(service, self.port) as server:
             console.print(f"{len(service.catalogue)} targets: open {server.url}", markup=False)
             console.print("Ctrl-C ends; every decision is saved when it is made", markup=False)

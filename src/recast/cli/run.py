@@ -10,6 +10,7 @@ import tyro
 
 from recast.cli import shared
 from recast.cli.output import JSON, console_for, print_json
+from recast.core import diagnostics
 from recast.core.errors import InputError
 
 
@@ -169,6 +170,7 @@ class View:
     everybody in your network look and run rollouts."""
     port: int = 8080
     """TCP port; the next free one if it is in use."""
+    allow_host: Annotated[shared.Names, shared.ALLOW_HOST] = ()
     max_gaussians: int = 300_000
     """Maximum number of Gaussians that browsers get; the most important ones are kept."""
     out: Path = Path("scenarios")
@@ -192,4 +194,13 @@ class View:
                 inputs, self.replay, self.replay_mb, self.max_gaussians, self.scenario, console
             )
         else:
-            serve_what(inputs, self.host, self.port, self.max_gaussians, self.out, console)
+            diagnostics.show_warnings()
+            serve_what(
+                inputs,
+                self.host,
+                self.port,
+                self.max_gaussians,
+                self.out,
+                console,
+                self.allow_host,
+            )

@@ -10,6 +10,7 @@ import tyro
 
 from recast.cli import shared
 from recast.cli.output import console_for
+from recast.core import diagnostics
 
 _WORLD_FROM_LOCAL = (
     "Text file with a 4x4 matrix or an offset from the requests' coordinates to the log's world."
@@ -84,6 +85,7 @@ class Sensorsim(_Scenes):
             self.threads,
             self.device,
         )
+        diagnostics.show_warnings()
         serve_sensorsim(request, console_for(False))
 
 
@@ -96,6 +98,7 @@ class NeuroNcap(_Scenes):
 
     port: int = 8000
     """TCP port of the first scene; each further scene has the next one. 0 takes free ones."""
+    allow_host: Annotated[shared.Names, shared.ALLOW_HOST] = ()
     world_from_local: Annotated[
         Path | None, shared.option(_WORLD_FROM_LOCAL, "the coordinates of the log's dataset")
     ] = None
@@ -110,9 +113,11 @@ class NeuroNcap(_Scenes):
             self.host,
             self.port,
             world_from_local=self.world_from_local,
+            names=self.allow_host,
             threads=self.threads,
             device=self.device,
         )
+        diagnostics.show_warnings()
         serve_neuroncap(request, console_for(False))
 
 

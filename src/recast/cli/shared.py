@@ -154,6 +154,12 @@ DEVICE = option("Device: cpu, cuda or cuda:1.", "cuda if there is a GPU, else cp
 LIMIT = option("Number of vehicles to use, the first by id.", "all")
 SAMPLES = option("Number of bootstrap samples of the confidence intervals.")
 
+ALLOW_HOST = option(
+    "Further name of this machine that clients may use, such as that of a container. May be "
+    "repeated.",
+    metavar="NAME",
+)
+
 # Networks that judge.
 LPIPS_WEIGHTS = option(
     "Weights for LPIPS: an AlexNet or VGG-16 file of torchvision, or alexnet or vgg16 (recast "

@@ -24,10 +24,12 @@ class Diagnostics:
     Attributes:
         verbose: whether they go to standard error, with the tracebacks of errors that users caused.
         file: file that they are appended to, or None.
+        warnings: whether warnings and errors go to standard error even if not `verbose`.
     """
 
     verbose: bool = False
     file: Path | None = None
+    warnings: bool = False
 
 
 _current = Diagnostics()
@@ -42,7 +44,10 @@ def begin(wanted: Diagnostics) -> None:
     global _current
     if wanted.file is not None:  # other processes may work in another folder
         wanted = replace(wanted, file=wanted.file.absolute())
-    handlers: list[logging.Handler] = [logging.StreamHandler()] if wanted.verbose else []
+    handlers: list[logging.Handler] = []
+    if wanted.verbose or wanted.warnings:
+        handlers.append(logging.StreamHandler())
+        handlers[0].setLevel(logging.DEBUG if wanted.verbose else logging.WARNING)
     if wanted.file is not None:
         with disk_errors(wanted.file):
             # Several processes append to it: each record is one write.
@@ -55,9 +60,14 @@ def begin(wanted: Diagnostics) -> None:
     for handler in handlers or [logging.NullHandler()]:
         handler.setFormatter(_OneLine(_LINE))
         _LOGGER.addHandler(handler)
-    _LOGGER.setLevel(logging.DEBUG if handlers else logging.NOTSET)
+    _LOGGER.setLevel(min((handler.level or logging.DEBUG for handler in handlers), default=0))
     logging.raiseExceptions = not handlers  # a full disk below the file ends no run
     _current = wanted
+
+
+def show_warnings() -> None:
+    """Send warnings and errors to standard error, too: a server has nobody else to tell them."""
+    begin(replace(_current, warnings=True))
 
 
 def current() -> Diagnostics:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from reprlib import Repr
 from typing import Any, TypeVar
 
 from pydantic import BaseModel, ConfigDict, ValidationError
@@ -11,6 +12,10 @@ from recast.core import files
 from recast.core.errors import InputError
 
 Model = TypeVar("Model", bound=BaseModel)
+
+_SHORT = Repr()
+"""Shows any value in little time: `repr` would follow all levels and all digits of it."""
+_SHORT.maxlevel, _SHORT.maxstring, _SHORT.maxother, _SHORT.maxlong = 3, 60, 60, 60
 
 
 class Record(BaseModel):
@@ -64,7 +69,7 @@ def validated(where: str | Path, value: Any, model: type[Model], mend: str) -> M
         return model.model_validate(value)
     except ValidationError as error:
         raise validation_error(where, error, mend) from None
-    except (RecursionError, OverflowError) as error:
+    except (RecursionError, OverflowError) as error:  # before the member at fault was known
         raise InputError(where, "JSON", f"cannot be read ({error})", mend) from None
 
 
@@ -72,6 +77,6 @@ def validation_error(where: str | Path, error: ValidationError, mend: str) -> In
     """The first fault of a pydantic check as the error that users see."""
     first = error.errors()[0]
     field = ".".join(str(part) for part in first["loc"]) or "record"
-    shown = repr(first["input"])
+    shown = _SHORT.repr(first["input"])
     shown = shown if len(shown) <= 60 else shown[:57] + "..."
     return InputError(where, field, f"{first['msg']} (found {shown})", mend)

@@ -113,7 +113,7 @@ def read_yaml(text: str | bytes, where: str) -> Node:
         try:
             text = text.decode("utf-8-sig")
         except UnicodeDecodeError as error:
-            line = text.count(b"\n", 0, error.start) + 1
+            line = error.object.count(b"\n", 0, error.start) + 1
             raise InputError(f"{where}:{line}", "file", "is not UTF-8 text", _MEND) from None
     try:
         loader = _Loader(text)

@@ -44,6 +44,7 @@ class ServeRequest:
     queue: int = 256
     threads: int = 0
     device: str = "auto"
+    names: Sequence[str] = ()
 
 
 def serve_sensorsim(request: ServeRequest, console: Console) -> None:
@@ -88,11 +89,12 @@ def serve_neuroncap(request: ServeRequest, console: Console) -> None:
         InputError: a folder or number is wrong, or a port is taken.
     """
     painter = _painter(request, dataset_frame=True)
+    names = [name.lower() for name in request.names]
     require_range(0, 65536 - len(painter.scenes), port=request.port)
     with ExitStack() as opened:
         for number, (name, served) in enumerate(painter.scenes.items()):
             port = request.port and request.port + number
-            server = WebServer(ncap_app(NcapService(painter, name)), request.host, port)
+            server = WebServer(ncap_app(NcapService(painter, name)), request.host, port, names)
             opened.enter_context(server.in_background())
             _say(console, f"scene {name}: cameras {', '.join(served.cameras)}")
             _say(console, f"serving neuroncap at {request.host}:{server.port}; Ctrl+C ends it")

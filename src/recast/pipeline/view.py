@@ -210,10 +210,16 @@ def require_limits(
 
 
 def serve_what(
-    inputs: ViewInputs, host: str, port: int, most: int, out: Path, console: Console
+    inputs: ViewInputs,
+    host: str,
+    port: int,
+    most: int,
+    out: Path,
+    console: Console,
+    names: Collection[str] = (),
 ) -> None:
     """Serve the page until the command is interrupted."""
-    page = Page(inputs, most, out, host, port)
+    page = Page(inputs, most, out, host, port, [name.lower() for name in names])
     try:
         console.print(f"{page.pruned} shown", markup=False, highlight=False)
         console.print(f"open {page.url} in a browser; Ctrl+C ends", markup=False)

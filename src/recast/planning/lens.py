@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import cv2
@@ -16,6 +17,8 @@ WIDEST = float(np.tan(np.deg2rad(60.0)))
 _LONGEST_SIDE = 32_000
 """Pixels of a picture that OpenCV can remap."""
 _ROWS = 256
+_FEW = 65
+"""Rows and columns by which a lens that needs too large faces is refused at once."""
 
 _TURNS = tuple(
     np.array(turn, np.float64)
@@ -64,21 +67,18 @@ class Lens:
     def __init__(self, camera: LensCamera, most_pixels: int = MOST_PIXELS) -> None:
         self.camera = camera
         shape = camera.height, camera.width
-        rays = np.concatenate([_rays(camera, row) for row in range(0, shape[0], _ROWS)])
+        # The faces of a few pixels are no larger than those of all, which take seconds to find.
+        for _ in _extents(camera, _rays(camera, *(_spread(side) for side in shape)), most_pixels):
+            pass
+        rows, columns = (np.arange(float(side)) for side in shape)
+        blocks = np.split(rows, range(_ROWS, shape[0], _ROWS))
+        rays = np.concatenate([_rays(camera, block, columns) for block in blocks])
         seen = np.isfinite(rays[..., 2])
         self._dark = None if seen.all() else ~seen
         self._x, self._y = np.zeros(shape, np.float32), np.zeros(shape, np.float32)
         faces: list[Face] = []
-        top, pixels = 0, 0.0
-        for turn, there in _split(rays, seen):
-            here = rays[there] @ turn.T
-            flat = here[:, :2] / here[:, 2:] * [camera.fx, camera.fy]
-            # Half a pixel beyond the outermost centres is what the outermost pixels cover.
-            low = np.floor(flat.min(0) - 0.5 + 1e-6)
-            size = np.ceil(flat.max(0) + 0.5 - 1e-6 - low)
-            pixels += float(size.prod())
-            if pixels > most_pixels or max(size[0], top + size[1]) > _LONGEST_SIDE:
-                raise ValueError(f"Lens: needs pinhole images of over {pixels:.0f} pixels")
+        top = 0
+        for turn, there, flat, low, size in _extents(camera, rays, most_pixels):
             width, height = size.astype(int).tolist()
             pinhole = PinholeCamera(width, height, camera.fx, camera.fy, *(-low).tolist())
             faces.append(Face(pinhole, turn))
@@ -123,11 +123,38 @@ class Lens:
         return bent
 
 
-def _rays(camera: LensCamera, first: int) -> Array:
-    """Rays of some rows: those of all at once would need several times the memory."""
-    rows = np.arange(first, min(first + _ROWS, camera.height)) + 0.5
-    u, v = np.meshgrid(np.arange(camera.width) + 0.5, rows)
+def _spread(side: int) -> Array:
+    """Some indices of rows or columns, the first and the last among them."""
+    return np.unique(np.linspace(0, side - 1, _FEW).round())
+
+
+def _rays(camera: LensCamera, rows: Array, columns: Array) -> Array:
+    """Rays of some pixels: those of all at once would need several times the memory."""
+    u, v = np.meshgrid(columns + 0.5, rows + 0.5)
     return camera.rays(np.stack([u, v], axis=-1))
+
+
+def _extents(
+    camera: LensCamera, rays: Array, most_pixels: int
+) -> Iterator[tuple[Array, Array, Array, Array, Array]]:
+    """The faces of some pixels: `face_from_lens` (3, 3), mask of the pixels (height, width), where
+    they are on the face (n, 2), its lower corner and its size (2,), all in pixels.
+
+    Raises:
+        ValueError: see `Lens`.
+    """
+    below, pixels = 0.0, 0.0
+    for turn, there in _split(rays, np.isfinite(rays[..., 2])):
+        here = rays[there] @ turn.T
+        flat = here[:, :2] / here[:, 2:] * [camera.fx, camera.fy]
+        # Half a pixel beyond the outermost centres is what the outermost pixels cover.
+        low = np.floor(flat.min(0) - 0.5 + 1e-6)
+        size = np.ceil(flat.max(0) + 0.5 - 1e-6 - low)
+        pixels += float(size.prod())
+        below += float(size[1])
+        if pixels > most_pixels or max(float(size[0]), below) > _LONGEST_SIDE:
+            raise ValueError(f"Lens: needs pinhole images of over {pixels:.0f} pixels")
+        yield turn, there, flat, low, size
 
 
 def _split(rays: Array, seen: Array) -> list[tuple[Array, Array]]:

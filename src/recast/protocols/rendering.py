@@ -94,22 +94,26 @@ class ScenePainter:
             poses = {**served.scene.actor_poses(request.timestamp_us), **poses}
         camera_from_world = se3.inverse(world @ request.local_from_camera)
         camera, rasterizer = request.camera, self._rasterizers[request.scene_id]
+        # A new lens is measured before others have to wait.
+        lens = None
+        if isinstance(camera, PinholeCamera) and camera.is_rectified:
+            views = [(camera, camera_from_world)]
+        else:
+            lens = self._lenses.of(camera)
+            turns = [
+                se3.from_rotation_translation(f.face_from_lens, np.zeros(3)) for f in lens.faces
+            ]
+            views = [
+                (f.camera, t @ camera_from_world) for f, t in zip(lens.faces, turns, strict=True)
+            ]
         with self._lock:
             if not wanted():
                 raise RefusedError("CANCELLED", "the caller has gone")
-            if isinstance(camera, PinholeCamera) and camera.is_rectified:
-                return draw_image(
-                    rasterizer, camera, camera_from_world, poses, request.timestamp_us
-                )
-            lens = self._lenses.of(camera)
-            images = []
-            for face in lens.faces:
-                turn = se3.from_rotation_translation(face.face_from_lens, np.zeros(3))
-                pose = turn @ camera_from_world
-                images.append(
-                    draw_image(rasterizer, face.camera, pose, poses, request.timestamp_us)
-                )
-            return lens.bend(*images)
+            images = [
+                draw_image(rasterizer, pinhole, pose, poses, request.timestamp_us)
+                for pinhole, pose in views
+            ]
+        return images[0] if lens is None else lens.bend(*images)
 
     def _has(self, request: RenderRequest, track_id: str) -> bool:
         """Whether a track has a model; one without is part of the background, and told of once."""
@@ -127,15 +131,18 @@ class _Lenses:
 
     def __init__(self) -> None:
         self._kept: OrderedDict[AnyCamera, Lens] = OrderedDict()
+        self._lock = Lock()
 
     def of(self, camera: AnyCamera) -> Lens:
-        if camera not in self._kept:
-            pixels = camera.width * camera.height
-            try:
-                self._kept[camera] = Lens(camera, _FACES * pixels + _LEAST)
-            except ValueError as error:
-                raise RefusedError("INVALID_ARGUMENT", f"camera_intrinsics: {error}") from None
-        self._kept.move_to_end(camera)
-        while sum(kept.width * kept.height for kept in self._kept) > MOST_IN_ALL:
-            self._kept.popitem(last=False)
-        return self._kept[camera]
+        with self._lock:
+            if camera not in self._kept:
+                pixels = camera.width * camera.height
+                try:
+                    self._kept[camera] = Lens(camera, _FACES * pixels + _LEAST)
+                except ValueError as error:
+                    raise RefusedError("INVALID_ARGUMENT", f"camera_intrinsics: {error}") from None
+            self._kept.move_to_end(camera)
+            lens = self._kept[camera]
+            while sum(kept.width * kept.height for kept in self._kept) > MOST_IN_ALL:
+                self._kept.popitem(last=False)
+            return lens

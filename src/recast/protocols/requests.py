@@ -13,6 +13,8 @@ MOST_PIXELS = 3840 * 2160
 """Of one image."""
 MOST_IN_ALL = 4 * MOST_PIXELS
 """Of the images of one call."""
+MOST_SIDE = 65_500
+"""Width and height of one image at most, which is what JPEG files can have (libjpeg)."""
 
 
 class RefusedError(Exception):

@@ -5,13 +5,15 @@ from __future__ import annotations
 import logging
 import socket
 import time
-from contextlib import redirect_stdout
+from collections.abc import Callable, Collection, Iterator
+from contextlib import contextmanager, redirect_stdout
 from io import StringIO
 from pathlib import Path
 from threading import Event, Thread
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from recast.core.errors import InputError
+from recast.core.web_server import refusal_of
 from recast.viewer.inputs import ViewInputs
 from recast.viewer.panel_layers import ComparePanel, ExactPanel, LayersPanel
 from recast.viewer.panel_play import PlayPanel, first_look, open_at
@@ -41,6 +43,7 @@ class Page:
         out: folder for scenario files.
         host: address to listen on; other machines see the page only if it is not this one's own.
         port: TCP port; the next free one is taken if it is in use.
+        names: further names of this machine that browsers may use, in lower case.
 
     Attributes:
         pruned: number of Gaussians of the first arm that are shown, in words.
@@ -56,8 +59,9 @@ class Page:
         out: Path = Path("scenarios"),
         host: str = LOOPBACK,
         port: int = 8080,
+        names: Collection[str] = (),
     ) -> None:
-        self.server = open_server(host, port)
+        self.server = open_server(host, port, names)
         self.playback = Playback(inputs)
         self._tracks: TrackPanel | None = None
         self._pictures_at = 0.0
@@ -157,12 +161,16 @@ def require_viser() -> None:
         ) from None
 
 
-def open_server(host: str = LOOPBACK, port: int = 8080) -> viser.ViserServer:
-    """Start a viser server that prints nothing and cannot be shared through viser's tunnel.
+def open_server(
+    host: str = LOOPBACK, port: int = 8080, names: Collection[str] = ()
+) -> viser.ViserServer:
+    """Start a viser server that prints nothing, answers no page of another site, and cannot be
+    shared through viser's tunnel.
 
     Args:
         host: address to listen on.
         port: TCP port; the next free one is taken if it is in use.
+        names: see `recast.core.web_server.refusal_of`.
 
     Raises:
         InputError: viser is not installed, or the address is not one of this machine.
@@ -176,13 +184,52 @@ def open_server(host: str = LOOPBACK, port: int = 8080) -> viser.ViserServer:
             return None
 
     _require_own(host)  # viser itself would wait for ever
-    with redirect_stdout(StringIO()):
+    with redirect_stdout(StringIO()), _handshakes_checked(host, names):
         server = Server(host=host, port=port, verbose=False)
     server.gui.configure_theme(
         control_width="large", dark_mode=True, show_logo=False, show_share_button=False
     )
     server.gui.main_panel.dock_right()
     return server
+
+
+@contextmanager
+def _handshakes_checked(listening: str, names: Collection[str]) -> Iterator[None]:
+    """Servers that viser starts meanwhile answer nobody else than `refusal_of` lets ask.
+
+    viser has no setting for it: its WebSocket takes every page that a browser shows. A version of
+    viser that listens in another way is refused rather than left open.
+    """
+    from websockets.asyncio import server as listener
+    from websockets.datastructures import Headers
+    from websockets.http11 import Response
+
+    serve, used = listener.serve, []
+
+    def checked(answer: Callable[[Any, Any], Any]) -> Callable[[Any, Any], Any]:
+        def process(connection: Any, request: Any) -> Any:
+            hosts, origins = (request.headers.get_all(key) for key in ("Host", "Origin"))
+            refused = refusal_of(listening, hosts, origins, names)
+            if refused is not None:
+                return Response(403, "Forbidden", Headers(), f"{refused}\n".encode())
+            response = answer(connection, request)
+            if response is not None:  # a page in whose frame it lies could guide a click
+                response.headers["Content-Security-Policy"] = "frame-ancestors 'none'"
+            return response
+
+        return process
+
+    def guarded(*args: Any, process_request: Any, **options: Any) -> Any:
+        used.append(process_request)
+        return serve(*args, process_request=checked(process_request), **options)
+
+    listener.serve = guarded  # type: ignore[assignment, misc]
+    try:
+        yield
+    finally:
+        listener.serve = serve  # type: ignore[misc]
+    if not used:
+        raise InputError("viser", "version", "cannot be guarded", "pip install 'viser~=1.1'")
 
 
 def close_server(server: viser.ViserServer) -> None:

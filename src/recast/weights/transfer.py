@@ -12,13 +12,13 @@ import os
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, BinaryIO, Self
+from typing import Annotated, Any, BinaryIO, Self
 
-from pydantic import BaseModel, ConfigDict, Field, NonNegativeInt, ValidationError
+from pydantic import BaseModel, ConfigDict, Field
 
 from recast.core import files
 from recast.core.errors import InputError
-from recast.core.records import Record, validation_error
+from recast.core.records import Record, validated
 from recast.weights.fetched import FileRecord, Sha256, file_record
 from recast.weights.table import HUB, Source
 
@@ -27,6 +27,8 @@ MIRROR = "RECAST_WEIGHTS_MIRROR"
 _HUB_MIRROR = "HF_ENDPOINT"
 
 Step = Callable[[int], None]
+Size = Annotated[int, Field(ge=0, le=1 << 50)]
+"""Bytes of a file: more than a petabyte is a slip, and a sum of them must stay a float."""
 
 
 class RemoteFile(Record):
@@ -42,7 +44,7 @@ class RemoteFile(Record):
 
     address: str
     path: str
-    size: NonNegativeInt | None = None
+    size: Size | None = None
     sha256: Sha256 | None = None
     blob: str | None = None
 
@@ -51,14 +53,14 @@ class _Lfs(BaseModel):
     model_config = ConfigDict(allow_inf_nan=False)
 
     sha256: Sha256
-    size: NonNegativeInt
+    size: Size
 
 
 class _Sibling(BaseModel):
     model_config = ConfigDict(allow_inf_nan=False)
 
-    rfilename: str
-    size: NonNegativeInt | None = None
+    rfilename: str = Field(max_length=1000)  # with a limit, half surrogate pairs are refused, too
+    size: Size | None = None
     blob: str | None = Field(None, alias="blobId")
     lfs: _Lfs | None = None
 
@@ -99,10 +101,7 @@ def repository_files(source: Source) -> tuple[str, dict[str, RemoteFile]]:
         )
         hf_raise_for_status(answer)
         told = files.parse_json(actual(address), answer.content)
-    try:
-        found = _Repository.model_validate(told)
-    except ValidationError as error:
-        raise validation_error(actual(address), error, "check the mirror") from None
+    found = validated(actual(address), told, _Repository, "check the mirror")
     if source.revision not in (None, found.sha):
         problem = f"answers with commit {found.sha}, not {source.revision}"
         raise InputError(actual(address), "revision", problem, "check the mirror")
@@ -134,7 +133,8 @@ def web_file(address: str) -> RemoteFile:
         )
         hf_raise_for_status(answer)
         length = answer.headers.get("Content-Length", "")
-    return RemoteFile(address=address, path="", size=int(length) if length.isdigit() else None)
+    known = length.isascii() and length.isdigit() and len(length) <= 15
+    return RemoteFile(address=address, path="", size=int(length) if known else None)
 
 
 def download(file: RemoteFile, target: Path, step: Step) -> FileRecord:

@@ -274,6 +274,11 @@ TWICE = [message("DynamicObject", track_id="x", pose_pair=pose_pair(CAR))] * 2
 BAD = {
     "scene": ({"scene_id": "nowhere"}, "NOT_FOUND", "'nowhere' is none of drive"),
     "no size": ({"resolution_h": 0}, "INVALID_ARGUMENT", "resolution_h, resolution_w: 0 x 48"),
+    "longer than a JPEG file can be": (
+        {"resolution_h": 1, "resolution_w": 65_501, "image_format": 2},
+        "INVALID_ARGUMENT",
+        "within 1 and 65500 pixels a side",
+    ),
     "size": ({"resolution_h": 1 << 31, "resolution_w": 1 << 31}, "RESOURCE_EXHAUSTED", "pixels"),
     "no camera": ({"camera_intrinsics": None}, "INVALID_ARGUMENT", "camera_intrinsics: is missing"),
     "no model": (

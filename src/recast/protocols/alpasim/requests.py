@@ -14,7 +14,13 @@ from recast.logs.checks import LATEST_US
 from recast.protocols.alpasim.cameras import FTHETA_CENTRE, read_camera
 from recast.protocols.alpasim.messages import MOST_BYTES
 from recast.protocols.alpasim.poses import read_middle
-from recast.protocols.requests import MOST_IN_ALL, MOST_PIXELS, RefusedError, RenderRequest
+from recast.protocols.requests import (
+    MOST_IN_ALL,
+    MOST_PIXELS,
+    MOST_SIDE,
+    RefusedError,
+    RenderRequest,
+)
 
 PNG, JPEG, PLANAR = 1, 2, 4
 """Numbers of the image formats that recast encodes."""
@@ -58,8 +64,9 @@ def read_requests(
 
 def _read(request: Any, ftheta_centre: float) -> SensorsimRequest:
     height, width = request.resolution_h, request.resolution_w
-    if not (height and width):
-        raise ValueError(f"resolution_h, resolution_w: {height} x {width}")
+    if not (0 < height <= MOST_SIDE and 0 < width <= MOST_SIDE):
+        problem = f"{height} x {width} is not within 1 and {MOST_SIDE} pixels a side"
+        raise ValueError(f"resolution_h, resolution_w: {problem}")
     if not request.HasField("camera_intrinsics"):
         raise ValueError("camera_intrinsics: is missing")
     if not request.HasField("sensor_pose"):

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Awaitable, Callable, Mapping
 from functools import cache
 from importlib.resources import files
@@ -18,8 +17,7 @@ from starlette.responses import HTMLResponse, JSONResponse, Response
 from starlette.routing import Route
 
 from recast.core.errors import InputError
-from recast.core.files import parse_json
-from recast.core.web_server import WebServer
+from recast.core.web_server import BodyError, WebServer, json_body
 from recast.recar.screening.service import RefusedError, ScreeningService
 
 CONTENT_POLICY = (
@@ -33,7 +31,7 @@ _HEADERS = {
     "Content-Security-Policy": CONTENT_POLICY,
     "X-Content-Type-Options": "nosniff",
 }
-_LENGTH = re.compile("[0-9]{1,4}")  # of a body
+_MOST_BODY = 10_000  # bytes
 _Answer = Callable[[Mapping[str, Any]], dict[str, Any]]
 
 
@@ -76,9 +74,10 @@ def screening_app(service: ScreeningService) -> Starlette:
             Route("/api/decide", decided(service.decide), methods=["POST"]),
             Route("/api/undo", decided(service.undo), methods=["POST"]),
         ],
-        middleware=[Middleware(BaseHTTPMiddleware, dispatch=_guard)],
+        middleware=[Middleware(BaseHTTPMiddleware, dispatch=_add_headers)],
         exception_handlers={
             RefusedError: lambda _, refused: _refusal(refused),
+            BodyError: lambda _, error: _refusal(RefusedError(error.status, str(error))),
             InputError: lambda _, error: JSONResponse({"error": str(error)}, 500),
             HTTPException: lambda _, error: _refusal(RefusedError(404, "no such page")),
         },
@@ -87,36 +86,19 @@ def screening_app(service: ScreeningService) -> Starlette:
     return app
 
 
-async def _guard(request: Request, answer: RequestResponseEndpoint) -> Response:
-    # Other sites in the same browser can send requests here, under their own names (Origin) or,
-    # with a name of theirs that leads to 127.0.0.1, as if from here (Host). Programs at other
-    # ports of this machine are other sites. The port is not compared with our own: behind a
-    # tunnel the browser knows another one.
-    host = request.headers.get("Host", "")
-    origins = request.headers.getlist("Origin")
-    if host.split(":")[0] not in (HOST, "localhost") or any(o != f"http://{host}" for o in origins):
-        response = _refusal(RefusedError(403, "only pages of this server may ask it"))
-    elif not request.scope["path"].startswith("/"):
-        response = _refusal(RefusedError(400, "address: is none"))
-    else:
+async def _add_headers(request: Request, answer: RequestResponseEndpoint) -> Response:
+    if request.scope["path"].startswith("/"):
         response = await answer(request)
+    else:
+        response = _refusal(RefusedError(400, "address: is not a path"))
     response.headers.update(_HEADERS)
     return response
 
 
 async def _body(request: Request) -> dict[str, Any]:
-    length = request.headers.get("Content-Length", "")
-    if not _LENGTH.fullmatch(length) or "Transfer-Encoding" in request.headers:
-        raise RefusedError(400, "body: its length is missing or too large")
-    kind = request.headers.get("Content-Type", "").partition(";")[0].strip().lower()
-    if kind != "application/json":
-        raise RefusedError(415, "body: is no application/json")
-    try:
-        body = parse_json("body", await request.body())
-    except InputError as error:
-        raise RefusedError(400, f"body: {error.problem}") from None
+    body = await json_body(request, _MOST_BODY)
     if not isinstance(body, dict):
-        raise RefusedError(400, "body: is no JSON object")
+        raise BodyError(400, "body: is not a JSON object")
     return body
 
 
