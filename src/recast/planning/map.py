@@ -137,6 +137,11 @@ class PlannerMap:
             for i, inside in _hits(polygons, self._lane_tree, np.asarray(points, np.float64))
         }
 
+    def car_park_hits(self, points: ArrayLike) -> list[BoolArray]:
+        """For each car park that holds some, which points (..., 2) lie strictly inside it."""
+        hits = _hits(self._other, self._other_tree, np.asarray(points, np.float64))
+        return [inside for i, inside in hits if i < len(self.car_parks)]
+
     def drivable_hits(self, points: ArrayLike) -> BoolArray:
         """Which points (..., 2) lie strictly inside a drivable polygon that is no lane.
 

@@ -9,8 +9,9 @@ from recast.core.errors import InputError
 from recast.dynamics import PACIFICA
 from recast.dynamics import state as ego
 from recast.geometry import se2
-from recast.planning.map import PlannerMap
+from recast.planning.map import PlannerLane, PlannerMap
 from recast.planning.pdm import LanePath, PdmClosed, PdmConfig, PdmPlan, forecast
+from recast.planning.pdm.areas import ego_areas
 from recast.planning.pdm.forecast import box_corners, outline
 from recast.planning.pdm.proposals import brake_plan, brakes
 
@@ -188,3 +189,16 @@ def test_first_contacts_are_those_of_looking_at_every_box(seed):
     found = seen.first_contacts(corners, steps, counted)
     np.testing.assert_array_equal(found, wanted)
     assert 0 < np.count_nonzero(found < len(steps)) < found.size - 6
+
+
+@pytest.mark.parametrize(
+    ("y", "between"), [(0.0, False), (2.0, True), (4.0, False)], ids=["lane", "both", "car park"]
+)
+def test_a_box_between_lane_and_car_park_is_in_two_lanes_but_not_for_navsim(y, between):
+    lane = PlannerLane("a", "a", np.array([[0, 0, 0], [40, 0, 0]]), shapely.box(0, -2, 40, 2))
+    road = PlannerMap({"a": lane}, car_parks=[shapely.box(0, 1.5, 40, 6)])
+    pose = np.array([20.0, y, 0.0])
+    args = road, ["a"], box_corners(pose, PACIFICA), pose, pose
+    found = ego_areas(*args)
+    assert found.multiple_lanes == found.irregular == between
+    assert not ego_areas(*args, lanes_only=True).irregular

@@ -17,7 +17,7 @@ class EgoAreas:
     """Flags (...) of ego boxes.
 
     Attributes:
-        multiple_lanes: more than one lane holds a corner, and none holds all four.
+        multiple_lanes: more than one lane or car park holds a corner, and none holds all four.
         non_drivable: some corner lies in no drivable polygon.
         oncoming: the centre lies in no lane of the route.
         in_intersection: the rear axle lies inside an intersection.
@@ -44,10 +44,14 @@ def ego_areas(
     corners: ArrayLike,
     centres: ArrayLike,
     rear_axles: ArrayLike,
+    *,
+    lanes_only: bool = False,
 ) -> EgoAreas:
     """Flags of ego boxes; a point on a polygon's edge is outside it.
 
     Args:
+        lanes_only: leave car parks out of `multiple_lanes`, as NAVSIM does; tuplan_garage counts
+            every polygon of its drivable map, which are lanes and car parks.
         corners: (..., 4, 2) corners of the boxes.
         centres: (..., >=2) centres of the boxes.
         rear_axles: (..., >=2) rear axles.
@@ -59,13 +63,15 @@ def ego_areas(
     drivable = planner_map.drivable_hits(corners)
     touched = np.zeros(shape, np.int64)
     whole, with_route = np.zeros(shape, np.bool_), np.zeros(shape, np.bool_)
+    polygons = [] if lanes_only else planner_map.car_park_hits(corners)
     for lane, hits in planner_map.lane_hits(np.concatenate([corners, centres], axis=-2)).items():
-        of_corners = hits[..., :4]
-        drivable |= of_corners
-        touched += of_corners.any(axis=-1)
-        whole |= of_corners.all(axis=-1)
+        drivable |= hits[..., :4]
+        polygons.append(hits[..., :4])
         if lane in on_route:
             with_route |= hits[..., 4]
+    for of_corners in polygons:
+        touched += of_corners.any(axis=-1)
+        whole |= of_corners.all(axis=-1)
     return EgoAreas(
         multiple_lanes=np.asarray((touched > 1) & ~whole),
         non_drivable=np.asarray(~drivable.all(axis=-1)),

@@ -101,7 +101,7 @@ def score_extended(
         raise ValueError(f"score_extended: expected (P, {STEPS + 1}, 11), got {states.shape}")
     poses = states[..., ego.POSE]
     corners, centres = box_corners(poses, vehicle), box_centres(poses, vehicle)
-    areas = ego_areas(planner_map, route_lanes, corners, centres, poses)
+    areas = ego_areas(planner_map, route_lanes, corners, centres, poses, lanes_only=True)
     crossing = planner_map.in_intersection(centres[..., :2])
     collision = at_fault_collisions(states, corners, areas, forecast)
     drivable = np.where(areas.non_drivable.any(axis=-1), 0.0, 1.0)
