@@ -133,7 +133,7 @@ def _cut(path: Path) -> None:
             f"{MOUNTS}: sensor_name down_lidar: is missing",
         ),
         (_without(SWEEP, "offset_ns"), f"{SWEEP}: column offset_ns: is missing"),
-        (_column(SWEEP, "x", 11, np.inf), f"{SWEEP}: column x, row 11: is inf"),
+        (_column(SWEEP, "offset_ns", 11, -1), f"{SWEEP}: column offset_ns, row 11: is -1"),
         (_column(SWEEP, "laser_number", 0, 64), f"{SWEEP}: column laser_number, row 0: is 64"),
         (_column(SWEEP, "offset_ns", 0, 10**9), f"{SWEEP}: column offset_ns, row 0: is 1000000000"),
         (lambda f: (f / SWEEP).rename(f / SWEEP.replace("3159", "x")), "is not a time"),

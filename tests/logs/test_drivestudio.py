@@ -178,7 +178,7 @@ def _lidar_value(column: int, value: float) -> Damage:
             f"{INFO}: 0.frame_annotations.box_size.3: is not a box's",
         ),
         (_lidar_value(4, 1e9), "lidar/003.bin: point 4: is NaN or infinite, or not within 100000"),
-        (_lidar_value(4, np.inf), "lidar/003.bin: point 4: is NaN or infinite"),
+        (_lidar_value(11, np.inf), "lidar/003.bin: point 4: is NaN or infinite"),
         (_lidar_value(13, 5.0), "lidar/003.bin: point 4: laser: is 5, not 0 to 4"),
         (
             lambda s: (s / "lidar/003.bin").rename(s / "lidar/099.bin"),

@@ -18,6 +18,8 @@ WORLD_REACH = 1e7
 """Metres: farthest coordinate of the world frame, a quarter of the way around the Earth."""
 SENSOR_REACH = 1e5
 """Metres: farthest LiDAR point and sensor mounting in the rig frame."""
+NEAREST_RETURN = 0.05
+"""Metres around its origin within which no scanner measures: their datasheets say 0.1 m or more."""
 BOX_SIDE = (1e-3, 1e3)
 """Metres: shortest and longest side of a labelled box, finest and coarsest cell of a grid."""
 LATEST_US = 1 << 53

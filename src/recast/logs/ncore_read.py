@@ -17,7 +17,7 @@ from scipy.spatial.transform import Rotation
 
 from recast.core import names
 from recast.geometry import PinholeCamera, se3
-from recast.logs import images, motion
+from recast.logs import checks, images, motion
 from recast.logs.ncore_folder import NcoreFolder, readable
 from recast.logs.ncore_write import COMPONENT, MASK, REFERENCE, stored_group
 from recast.logs.types import (
@@ -105,6 +105,10 @@ class StoredSweeps:
         distances = reader.get_frame_ray_bundle_return_data(frame, "distance_m", 0)
         intensity = reader.get_frame_ray_bundle_return_data(frame, "intensity", 0)
         measured = reader.get_frame_ray_bundle_data(frame, "timestamp_us").astype(np.int64)
+        kept = distances > checks.NEAREST_RETURN  # false for NaN; logs of other tools hold both
+        directions, distances, intensity, measured = (
+            column[kept] for column in (directions, distances, intensity, measured)
+        )
         points = se3.apply(self.rig_from_lidar, directions * distances[:, None])
         times: Int64Array | None = None
         if np.any(measured != reference):

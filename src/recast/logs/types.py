@@ -79,7 +79,8 @@ class LidarSweep:
     Attributes:
         timestamp_us: time the points are referred to.
         points: (N, 3) float32 metres, rig frame at that time (ego motion during the turn undone).
-        intensity: (N,) float32 in [0, 1].
+        intensity: (N,) float32 in [0, 1]: a share of the dataset's scale if that has an end, else
+            its hyperbolic tangent; 0 where the dataset has none.
         point_timestamps_us: (N,) int64, when each point was measured; None where all were measured
             (or are taken to have been measured) at `timestamp_us`.
     """

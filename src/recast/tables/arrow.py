@@ -51,8 +51,11 @@ class Table:
         """Number of rows."""
         return int(self.data.num_rows)
 
-    def numbers(self, name: str) -> NDArray[Any]:
-        """A column (N,) of integers or floats, as stored; all are finite.
+    def numbers(self, name: str, finite: bool = True) -> NDArray[Any]:
+        """A column (N,) of integers or floats, as stored.
+
+        Args:
+            finite: refuse NaN and infinity.
 
         Raises:
             InputError: it holds something else, or a cell is empty or not finite.
@@ -62,7 +65,7 @@ class Table:
             raise self._error(f"column {name}", f"holds {_name(column.type)}, not numbers")
         values: NDArray[Any] = column.to_numpy()
         wrong = np.flatnonzero(~np.isfinite(values))
-        if len(wrong):
+        if finite and len(wrong):
             problem = f"is {values[wrong[0]]}, not a number"
             raise self._error(f"column {name}, row {wrong[0]}", problem)
         return values

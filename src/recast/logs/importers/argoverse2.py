@@ -308,7 +308,7 @@ def _lidars(
             name,
             RIG_FROM_EGO @ calibration.ego_from_sensor[name],
             kept.timestamps_us,
-            Argoverse2Sweeps(kept, lasers, RIG_FROM_EGO),
+            Argoverse2Sweeps(kept, lasers, calibration.ego_from_sensor[name], RIG_FROM_EGO),
         )
         for name, lasers in LASERS.items()
     }

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from recast.core.errors import InputError
 from recast.geometry import PinholeCamera, se3
 from recast.logs import checks
-from recast.logs.importers.common import check_drive, unknown_drive
+from recast.logs.importers.common import are_returns, check_drive, unit_intensity, unknown_drive
 from recast.logs.types import Array, Int64Array, LidarSweep
 from recast.tables import read_feather
 
@@ -100,18 +100,22 @@ def list_frames(folder: Path, suffix: str) -> TimedFiles:
     return TimedFiles(times, tuple(paths))
 
 
-def read_columns(path: Path, numbers: Sequence[str], words: Sequence[str] = ()) -> Columns:
+def read_columns(
+    path: Path, numbers: Sequence[str], words: Sequence[str] = (), gaps: Sequence[str] = ()
+) -> Columns:
     """Columns (N,) of a feather file by name; others it may have are not looked at.
 
     Args:
         numbers: columns of integers or floats, all of which must be finite; kept as stored.
         words: columns of text.
+        gaps: columns of numbers that need not be finite.
 
     Raises:
         InputError: see `tables.read_feather` and `tables.Table`.
     """
-    table = read_feather(path, [*numbers, *words], _MEND)
+    table = read_feather(path, [*numbers, *words, *gaps], _MEND)
     return {
+        **{name: table.numbers(name, finite=False) for name in gaps},
         **{name: table.numbers(name) for name in numbers},
         **{name: table.words(name) for name in words},
     }
@@ -233,11 +237,12 @@ class Argoverse2Sweeps:
     Attributes:
         files: one for each sweep.
         lasers: laser numbers of this LiDAR.
-        rig_from_ego: (4, 4).
+        ego_from_lidar, rig_from_ego: (4, 4).
     """
 
     files: TimedFiles
     lasers: range
+    ego_from_lidar: Array
     rig_from_ego: Array
 
     def __len__(self) -> int:
@@ -251,18 +256,19 @@ class Argoverse2Sweeps:
             InputError: the file, a column or a value is wrong.
         """
         path, time = self.files.paths[index], int(self.files.timestamps_us[index])
-        rows = read_columns(path, ("x", "y", "z", "intensity", "laser_number", "offset_ns"))
+        rows = read_columns(path, ("intensity", "laser_number", "offset_ns"), gaps="xyz")
         offset = rows["offset_ns"].astype(np.int64) // 1000
         _refuse_outside(path, "offset_ns", rows["offset_ns"], 0, 1000 * TURN_US)
         _refuse_outside(path, "laser_number", rows["laser_number"], 0, 63)
         _refuse_outside(path, "intensity", rows["intensity"], 0, 255)
         mine = np.isin(rows["laser_number"], self.lasers)
-        in_ego = np.stack([rows[axis][mine].astype(np.float64) for axis in "xyz"], axis=-1)
-        in_rig = in_ego @ self.rig_from_ego[:3, :3].T + self.rig_from_ego[:3, 3]
+        in_ego = np.stack([rows[axis].astype(np.float64) for axis in "xyz"], axis=-1)
+        mine &= are_returns(in_ego, self.ego_from_lidar[:3, 3])
+        in_rig = in_ego[mine] @ self.rig_from_ego[:3, :3].T + self.rig_from_ego[:3, 3]
         return LidarSweep(
             time,
             in_rig.astype(np.float32),
-            rows["intensity"][mine].astype(np.float32) / np.float32(255),
+            unit_intensity(rows["intensity"][mine]),
             time + offset[mine],
         )
 

@@ -6,13 +6,14 @@ import os
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import wraps
 from pathlib import Path
-from typing import Concatenate, ParamSpec
+from typing import Any, Concatenate, ParamSpec
 
 import numpy as np
 import shapely
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict
 
+from recast.arrays import BoolArray
 from recast.core.errors import InputError
 from recast.core.files import disk_errors, read_bytes
 from recast.geometry import se3
@@ -107,11 +108,42 @@ def chosen_cameras(where: Path, there: Iterable[str], wanted: Sequence[str]) -> 
     return [name for name in names if not wanted or name in wanted]
 
 
-def read_points(path: Path, width: int, used: Sequence[int], mend: str) -> NDArray[np.float32]:
-    """Rows (N >= 1, width) of a file of points: float32, as of nuScenes and DriveStudio.
+def are_returns(points: NDArray[np.floating], *origins: NDArray[np.floating]) -> BoolArray:
+    """Which points (N, 3) a beam came back from: those that are finite and not at the scanner.
+
+    Files keep a beam without a return as NaN or as 0 0 0, which may have been transformed from the
+    scanner's frame to another since.
 
     Args:
-        used: columns that must be finite, and within what a log may hold.
+        origins: places (3,) or (N, 3) of the scanner in the frame of the points, beside 0 0 0.
+    """
+    kept: BoolArray = np.isfinite(points).all(axis=1)
+    for origin in (np.zeros(3, points.dtype), *origins):
+        kept &= (np.abs(points - origin) > checks.NEAREST_RETURN).any(axis=1)
+    return kept
+
+
+def unit_intensity(values: NDArray[Any]) -> NDArray[np.float32]:
+    """Intensities (N,) of `DrivingLog`, 0 to 1, of a file that has them as 0 to 255.
+
+    Some tools have divided them already: fractions of which none is above 1 are taken as they are.
+    """
+    scaled = np.asarray(values, np.float32)
+    if not (np.all(scaled <= 1) and np.any(scaled != np.trunc(scaled))):
+        scaled = scaled / np.float32(255)
+    return np.clip(scaled, 0.0, 1.0)
+
+
+def read_points(
+    path: Path, width: int, place: slice, used: Sequence[int], mend: str
+) -> NDArray[np.float32]:
+    """Rows (N, width) of a file of points: float32, as of nuScenes and DriveStudio.
+
+    Rows without a return are left out, see `are_returns`.
+
+    Args:
+        place: columns of x, y, z.
+        used: other columns that must be finite, and within what a log may hold.
         mend: what the user can do about any fault.
 
     Raises:
@@ -122,6 +154,8 @@ def read_points(path: Path, width: int, used: Sequence[int], mend: str) -> NDArr
         problem = f"{len(data)} bytes are not a whole number of {4 * width}-byte points"
         raise InputError(path, "points", problem, mend)
     rows = np.frombuffer(data, "<f4").reshape(-1, width)
+    rows = rows[are_returns(rows[:, place])]
+    used = [*range(*place.indices(width)), *used]
     wrong = ~(np.abs(rows[:, used]) <= checks.SENSOR_REACH)  # also NaN
     if wrong.any():
         point = int(np.argmax(wrong.any(axis=1)))

@@ -23,6 +23,7 @@ from recast.logs import checks
 from recast.logs.importers.common import (
     ForeignRecord,
     Timed,
+    are_returns,
     chosen_cameras,
     first_jump,
     read_points,
@@ -243,12 +244,13 @@ def read_lidars(folder: Path, frame_times: dict[int, int]) -> dict[str, LidarStr
 
 
 def read_rows(path: Path) -> NDArray[np.float32]:
-    """Rows (N, 14) of a file.
+    """Rows (N, 14) of a file that have a return.
 
     Raises:
         InputError: cut off, of another layout, not finite, or of an unknown scanner.
     """
-    rows = read_points(path, FLOATS, [*range(0, 6), _INTENSITY, _LASER], _MEND)
+    rows = read_points(path, FLOATS, _POINT, [0, 1, 2, _INTENSITY, _LASER], _MEND)
+    rows = rows[are_returns(rows[:, _POINT], rows[:, _ORIGIN])]
     known = np.isin(rows[:, _LASER], range(len(LASERS)))
     if not known.all():
         point = int(np.argmin(known))

@@ -23,6 +23,7 @@ from recast.core.errors import InputError
 from recast.geometry import se3
 from recast.logs import motion
 from recast.logs.checks import SENSOR_REACH
+from recast.logs.importers.common import are_returns
 from recast.logs.importers.kitti_files import (
     SensorFiles,
     list_frames,
@@ -134,14 +135,17 @@ def check_sweep_sizes(paths: Sequence[Path]) -> None:
 def read_points(path: Path) -> NDArray[np.float32]:
     """Points (N, 4) float32: x, y, z in the velodyne frame in metres, reflectance in [0, 1].
 
+    Those without a return are left out, see `are_returns`.
+
     Raises:
-        InputError: cut off, or not finite.
+        InputError: cut off, or out of range.
     """
     check_sweep_sizes((path,))
     data = files.read_bytes(path, SWEEP_LIMIT)
     points = np.frombuffer(data, np.float32).reshape(-1, 4)
-    if not np.all(np.abs(points[:, :3]) < SENSOR_REACH):  # also NaN
-        problem = f"hold NaN, or lie farther than {SENSOR_REACH:g} m"
+    points = points[are_returns(points[:, :3])]
+    if not np.all(np.abs(points[:, :3]) < SENSOR_REACH):
+        problem = f"lie farther than {SENSOR_REACH:g} m"
         raise InputError(path, "points", problem, "download the file again")
     if not np.all((points[:, 3] >= 0) & (points[:, 3] <= 1)):
         raise InputError(path, "reflectance", "is not within [0, 1]", "download the file again")

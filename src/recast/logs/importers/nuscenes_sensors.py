@@ -12,7 +12,7 @@ from recast.core.errors import InputError
 from recast.core.names import member
 from recast.geometry import PinholeCamera, se3
 from recast.logs import motion
-from recast.logs.importers.common import Timed, first_jump, read_points
+from recast.logs.importers.common import Timed, first_jump, read_points, unit_intensity
 from recast.logs.importers.nuscenes_tables import (
     AnnotationRow,
     CalibratedSensorRow,
@@ -182,11 +182,10 @@ class NuScenesSweeps(Timed):
             InputError: the file is empty, cut off or not finite.
         """
         path = self.paths[index]
-        rows = read_points(path, POINT_FLOATS, range(POINT_FLOATS), "download the file again")
+        rows = read_points(path, POINT_FLOATS, slice(0, 3), [3], "download the file again")
         rows = rows[np.abs(rows[:, :2]).max(axis=1) > OWN_ROOF]
         points = se3.apply(self.rig_from_lidar, rows[:, :3]).astype(np.float32)
-        intensity = np.clip(rows[:, 3] / np.float32(255), 0.0, 1.0)
-        return LidarSweep(int(self.timestamps_us[index]), points, intensity)
+        return LidarSweep(int(self.timestamps_us[index]), points, unit_intensity(rows[:, 3]))
 
 
 def read_ego(

@@ -13,7 +13,7 @@ import numpy as np
 from recast.core.errors import InputError
 from recast.geometry import PinholeCamera, se3
 from recast.logs import checks
-from recast.logs.importers.common import Timed
+from recast.logs.importers.common import Timed, are_returns, unit_intensity
 from recast.logs.types import (
     Array,
     CameraStream,
@@ -154,6 +154,7 @@ class Py123dSweeps(Timed):
     name: str
     timestamps_us: Int64Array
     rig_from_imu: Array
+    imu_from_lidar: Array
     folder: Path
 
     def __getitem__(self, index: int) -> LidarSweep:
@@ -177,12 +178,13 @@ class Py123dSweeps(Timed):
                 problem = "is merged with others, and points have no ids"
                 raise InputError(self.folder, where, problem, _MEND)
             mine = found.ids == int(self.lidar_id)
+        mine &= are_returns(points, self.imu_from_lidar[:3, 3])
         times, intensity = found.timestamps, found.intensity
-        brightness = np.zeros(len(points)) if intensity is None else np.asarray(intensity) / 255.0
+        brightness = np.zeros(len(points)) if intensity is None else np.asarray(intensity)
         return LidarSweep(
             time,
             se3.apply(self.rig_from_imu, points[mine]).astype(np.float32),
-            brightness[mine].astype(np.float32),
+            unit_intensity(brightness[mine]),
             None if times is None else np.asarray(times, np.int64)[mine],
         )
 
@@ -196,9 +198,9 @@ def read_lidars(
         name = known.lidar_name
         own = scene.get_all_lidar_timestamps(lidar_id)
         times = _within(own or scene.get_all_lidar_timestamps("lidar_merged"), trajectory)
-        sweeps = Py123dSweeps(scene, lidar_id, name, times, rig_from_imu, folder)
-        mount = rig_from_imu @ matrix(known.lidar_to_imu_se3)
-        streams[name] = LidarStream(name, mount, times, sweeps)
+        imu_from_lidar = matrix(known.lidar_to_imu_se3)
+        sweeps = Py123dSweeps(scene, lidar_id, name, times, rig_from_imu, imu_from_lidar, folder)
+        streams[name] = LidarStream(name, rig_from_imu @ imu_from_lidar, times, sweeps)
     return streams
 
 

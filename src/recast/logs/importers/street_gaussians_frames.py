@@ -23,7 +23,7 @@ from recast.core import files
 from recast.core.errors import InputError
 from recast.geometry import se3
 from recast.logs import checks, motion
-from recast.logs.importers.common import first_jump
+from recast.logs.importers.common import are_returns, first_jump
 from recast.logs.importers.processed_folder import NUMBER, CameraFolder, frame_numbers, read_pose
 from recast.logs.types import Array, Int64Array, LidarStream, LidarSweep, Trajectory
 from recast.tables import npz_array, npz_names, open_npz
@@ -188,7 +188,7 @@ class StreetGaussiansSweeps:
         """Read sweep `index`.
 
         Raises:
-            InputError: the file is broken, or the array is not (N, 3) finite numbers.
+            InputError: the file is broken, or the array is not (N, 3) numbers in range.
         """
         name = self.names[index]
         with open_npz(self.path, _CONVERT) as arrays:
@@ -205,7 +205,8 @@ def _array(path: Path, arrays: ZipFile, name: str) -> Array:
     if points.ndim != 2 or points.shape[1] != 3 or points.dtype.kind != "f":
         problem = f"is {points.dtype} of shape {points.shape}, not points (N, 3)"
         raise InputError(path, f"array {name}", problem, _CONVERT)
-    if not np.all(np.abs(points) <= checks.SENSOR_REACH):  # also NaN
-        problem = f"holds NaN or infinity, or a point not within {checks.SENSOR_REACH:g} m"
+    points = points[are_returns(points, RIG_FROM_LIDAR[:3, 3])]
+    if not np.all(np.abs(points) <= checks.SENSOR_REACH):
+        problem = f"holds a point not within {checks.SENSOR_REACH:g} m"
         raise InputError(path, f"array {name}", problem, _CONVERT)
     return points.astype(np.float64)
