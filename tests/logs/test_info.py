@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from recast.logs import DrivingLog, Trajectory, log_info
-from recast.logs.info import track_visibility
+from recast.logs import DrivingLog, Track, TrackInfo, Trajectory, log_info
+from recast.logs.info import ranked, track_visibility
 from support import tiny_drive as tiny
 from support import tiny_world
 
@@ -54,3 +54,33 @@ def test_sides_follow_the_heading(tiny_log: DrivingLog, angle: int, side: str) -
     turned[:, :3, :3] = turned[:, :3, :3] @ np.array([[cos, -sin, 0], [sin, cos, 0], [0, 0, 1.0]])
     track = replace(tiny_log.tracks["0"], trajectory=Trajectory(ego.timestamps_us, turned))
     assert track_visibility(tiny_log, track).sides() == (side,)
+
+
+def _beside(log: DrivingLog, ahead: np.ndarray, beside: float) -> Track:
+    """Track 0 at metres `ahead` (T,) and `beside` the ego."""
+    ego = log.world_from_rig
+    placed = ego.poses.copy()
+    x, y, z = np.moveaxis(ego.poses[:, :3, :3], -1, 0)
+    placed[:, :3, 3] += ahead[:, None] * x + beside * y + 0.8 * z
+    return replace(log.tracks["0"], trajectory=Trajectory(ego.timestamps_us, placed))
+
+
+@pytest.mark.parametrize(("beside", "usable"), [(4.0, True), (5.5, False)])
+def test_a_car_that_the_border_cuts_in_every_image_is_not_recommended(
+    tiny_log: DrivingLog, beside: float, usable: bool
+) -> None:
+    track = _beside(tiny_log, np.full(len(tiny_log.world_from_rig.poses), 10.0), beside)
+    visibility = track_visibility(tiny_log, track)
+    assert visibility.frames == 24 and visibility.whole == usable
+    info = TrackInfo("0", "car", (4.0, 1.8, 1.5), 1.0, 0.0, 1000, visibility)
+    (rated,) = ranked([info])
+    assert rated.usable == usable
+    assert usable or rated.why == "is cut by the border in every image"
+
+
+def test_the_largest_whole_crop_counts_not_a_larger_one_that_is_cut(tiny_log: DrivingLog) -> None:
+    count = len(tiny_log.world_from_rig.poses)
+    passed = track_visibility(tiny_log, _beside(tiny_log, np.linspace(20.0, 10.0, count), 5.0))
+    alongside = track_visibility(tiny_log, _beside(tiny_log, np.full(count, 10.0), 5.0))
+    assert passed.whole and not alongside.whole
+    assert passed.crop[1] < alongside.crop[1]

@@ -18,6 +18,7 @@ SIDES = {"front": (0, 1.0), "left": (1, 1.0), "rear": (0, -1.0), "right": (1, -1
 GRAZING = np.radians(15.0)  # a face seen under a smaller angle shows nothing
 NEAR = 1.0  # metres: nearer parts of a box beside the camera would cover half the world
 SMALLEST = 64.0  # square pixels of a box inside the image
+WHOLE = 0.95  # of it: labels are a little large, the image may cut their edge
 SMALLEST_PART = 0.2  # of the box's rectangle inside the image
 VEHICLES = ("car", "van", "truck", "bus")
 FEWEST_POINTS = 20  # LiDAR points without which no vehicle is placed
@@ -33,7 +34,9 @@ class TrackVisibility:
     Attributes:
         frames: frames with the box in the image, over all cameras.
         front, left, rear, right: frames in which that face is seen under more than 15 degrees.
-        crop: width and height in pixels of the largest part of an image that the box covers.
+        crop: width and height in pixels of the largest part of an image that the box covers, among
+            the frames that show it whole if there are any.
+        whole: whether a frame shows the whole box, not cut by the border of the image.
     """
 
     frames: int
@@ -42,6 +45,7 @@ class TrackVisibility:
     rear: int
     right: int
     crop: tuple[int, int]
+    whole: bool = True
 
     def sides(self) -> tuple[str, ...]:
         """Names of the faces seen at all."""
@@ -171,6 +175,8 @@ def _rated(track: TrackInfo) -> TrackInfo:
         return replace(track, why="is no car, van, truck or bus")
     if seen.frames == 0:
         return replace(track, why="is in no image")
+    if not seen.whole:
+        return replace(track, why="is cut by the border in every image")
     if points < FEWEST_POINTS:
         return replace(track, why=f"has {points} LiDAR points, {FEWEST_POINTS} are needed")
     moves = "moves" if track.displacement > MOVING else "stands"
@@ -192,31 +198,35 @@ def track_visibility(log: DrivingLog, track: Track) -> TrackVisibility:
     """Count the camera frames that show a track, and its faces in them."""
     counts = dict.fromkeys(SIDES, 0)
     frames = 0
-    largest = (0, 0)
+    largest, is_whole = (0, 0), False
     for camera in log.cameras.values():
         for time in camera.timestamps_us.tolist():
             if not track.trajectory.covers(time):
                 continue
             world_from_camera = log.world_from_rig.at(time) @ camera.rig_from_camera
             camera_from_box = se3.inverse(world_from_camera) @ track.trajectory.at(time)
-            crop = crop_in_image(camera, track, camera_from_box)
-            if crop is None:
+            seen = crop_in_image(camera, track, camera_from_box)
+            if seen is None:
                 continue
             frames += 1
-            largest = crop if max(crop) > max(largest) else largest
+            crop, share = seen
+            whole = share >= WHOLE
+            if (whole, max(crop)) > (is_whole, max(largest)):
+                largest, is_whole = crop, whole
             eye = se3.inverse(camera_from_box)[:3, 3]
             for side, (axis, sign) in SIDES.items():
                 towards = eye.copy()
                 towards[axis] -= sign * track.size[axis] / 2
                 sine = sign * towards[axis] / max(float(np.linalg.norm(towards)), 1e-9)
                 counts[side] += bool(sine > np.sin(GRAZING))
-    return TrackVisibility(frames=frames, **counts, crop=largest)
+    return TrackVisibility(frames=frames, **counts, crop=largest, whole=is_whole)
 
 
 def crop_in_image(
     camera: CameraStream, track: Track, camera_from_box: np.ndarray
-) -> tuple[int, int] | None:
-    """Width and height in pixels of what a box at (4, 4) `camera_from_box` covers of the image.
+) -> tuple[tuple[int, int], float] | None:
+    """Width and height in pixels of what a box at (4, 4) `camera_from_box` covers of the image, and
+    the share of the box's rectangle that this is.
 
     None unless a fair part of it lies inside.
     """
@@ -228,4 +238,5 @@ def crop_in_image(
     whole = float(np.prod(rectangle[2:] - rectangle[:2]))
     if float(np.prod(inside)) < max(SMALLEST, SMALLEST_PART * whole):
         return None
-    return round(float(inside[0])), round(float(inside[1]))
+    share = float(np.prod(inside)) / whole
+    return (round(float(inside[0])), round(float(inside[1]))), share
