@@ -10,6 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from recast.core.errors import InputError
+from recast.logs.importers.waymo import load_waymo
 from recast.logs.importers.waymo_proto import FieldError, decode
 from recast.logs.importers.waymo_tfrecord import Record, _find, masked_crc, read_records
 from support import proto_writer as write
@@ -137,3 +138,26 @@ def test_bytes_that_are_no_text_are_told() -> None:
         decode("Label", write.blob(4, b"\xff\xfe"))["id"]
     with pytest.raises(FieldError, match=r"^Transform: is no protocol buffer"):
         decode("Transform", write.blob(1, b"1234567"))
+
+
+def _field(number: int, data: bytes) -> bytes:
+    size, length = len(data), b""
+    while size > 127:
+        length, size = length + bytes([size & 127 | 128]), size >> 7
+    return bytes([number << 3 | 2]) + length + bytes([size]) + data
+
+
+@pytest.mark.parametrize("floats", [1, 100])
+def test_a_tf_example_is_named(tmp_path: Path, floats: int) -> None:
+    feature = _field(2, _field(1, np.zeros(floats, "<f4").tobytes()))
+    entries = [_field(1, _field(1, name) + _field(2, feature)) for name in (b"state/id", b"b")]
+    write.write_records(tmp_path / "a.tfrecord", [_field(1, b"".join(entries))])
+    wanted = "record 0: is a tf.Example of features such as state/id, not a frame or scenario"
+    with pytest.raises(InputError, match=wanted):
+        load_waymo(tmp_path, "a.tfrecord")
+
+
+def test_an_archive_in_place_of_records_is_named(tmp_path: Path) -> None:
+    (tmp_path / "a.tfrecord").write_bytes(b"\x1f\x8b\x08" + bytes(30))
+    with pytest.raises(InputError, match="no \\(uncompressed\\) TFRecord file but a gzip archive"):
+        load_waymo(tmp_path, "a.tfrecord")

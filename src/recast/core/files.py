@@ -234,16 +234,58 @@ def read_bytes(path: str | Path, limit: int) -> bytes:
         return data
 
 
+_KINDS = {
+    b"PK\x03\x04": "a zip archive",
+    b"\x1f\x8b\x08": "a gzip archive",
+    b"BZh": "a bzip2 archive",
+    b"\xfd7zXZ": "an xz archive",
+    b"7z\xbc\xaf": "a 7-Zip archive",
+    b"(\xb5/\xfd": "a Zstandard archive",
+    b"PAR1": "a parquet file",
+    b"ARROW1": "a feather file (Arrow)",
+    b"FEA1": "a feather file of version 1",
+    b"\x93NUMPY": "a numpy array",
+    b"\x89HDF": "an HDF5 file",
+    b"SQLite format 3": "an SQLite database",
+    b"\x89PNG": "a PNG image",
+    b"\xff\xd8\xff": "a JPEG image",
+    b"%PDF": "a PDF document",
+    b"version https://git-lfs": "a pointer of Git LFS (git lfs pull downloads the file itself)",
+    b"<!doctype html": "a web page",
+    b"<html": "a web page",
+    b"<?xml": "an XML document",
+}
+"""What files are that begin so, in lower case where they begin with text."""
+
+
+def kind_of_file(data: bytes) -> str:
+    """What a file is that is not what was asked for, such as "a zip archive"; empty if unknown.
+
+    Downloads give error pages, pointers and archives in place of files.
+    """
+    if not data:
+        return "empty"
+    if data[257:262] == b"ustar":
+        return "a tar archive"
+    text = data[:64].removeprefix(b"\xef\xbb\xbf").lstrip().lower()
+    for magic, kind in _KINDS.items():
+        if data.startswith(magic) or text.startswith(magic):
+            return kind
+    return ""
+
+
 def read_text(path: str | Path, limit: int = JSON_LIMIT) -> str:
-    """All of a UTF-8 text file.
+    """All of a UTF-8 text file, without a byte order mark.
 
     Raises:
         InputError: see `read_bytes`; or not UTF-8.
     """
+    data = read_bytes(path, limit)
     try:
-        return read_bytes(path, limit).decode()
+        return data.decode("utf-8-sig")
     except UnicodeDecodeError as error:
-        problem = f"is not UTF-8 (byte {error.start})"
+        kind = kind_of_file(data)
+        problem = f"is not UTF-8 (byte {error.start})" + (f": the file is {kind}" if kind else "")
         raise InputError(path, "text", problem, "save it as UTF-8") from None
 
 
@@ -261,12 +303,14 @@ def parse_json(where: str | Path, data: str | bytes) -> Any:
     """
     mend = "write the file anew"
     try:
-        text = data.decode() if isinstance(data, bytes) else data
+        text = data.decode("utf-8-sig") if isinstance(data, bytes) else data
         return json.loads(text, parse_float=_finite, parse_constant=_refused)
     except RecursionError:
         raise InputError(where, "JSON", "is nested too deeply", mend) from None
     except ValueError as error:  # of the parser, of UTF-8, or of a number
         reason = str(error).split("; use sys")[0]
+        kind = kind_of_file(data.encode(errors="replace") if isinstance(data, str) else data)
+        reason += f"; it is {kind}" if kind else ""
         raise InputError(where, "JSON", f"cannot be read ({reason})", mend) from None
 
 

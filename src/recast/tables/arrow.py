@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from pyarrow import ipc
 
 from recast.core.errors import InputError
-from recast.core.files import disk_errors, read_bytes
+from recast.core.files import disk_errors, kind_of_file, read_bytes
 from recast.tables.encodings import Buffer, FlatTable, integer
 
 ROW_LIMIT = 1 << 22
@@ -162,6 +162,12 @@ def arrow_errors(path: Path, field: str, mend: str) -> Iterator[None]:
         raise
     except Exception as error:  # Arrow's own, and MemoryError, UnicodeDecodeError, SystemError, ...
         reason = " ".join(str(error).split()) or type(error).__name__
+        with path.open("rb") as stream:
+            kind = kind_of_file(stream.read(512))
+        # Damaged files of the right kind begin like whole ones.
+        wanted = field.split()[0]
+        if kind and wanted in ("feather", "Arrow", "parquet") and wanted not in kind:
+            reason = f"the file is {kind}"
         raise InputError(path, field, f"cannot be read ({reason})", mend) from None
 
 

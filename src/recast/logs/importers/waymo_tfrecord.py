@@ -6,6 +6,7 @@ length as 8 bytes little-endian, its masked CRC-32C in 4, the data, their masked
 
 from __future__ import annotations
 
+import re
 import struct
 import zlib
 from collections.abc import Iterator, Mapping
@@ -17,7 +18,7 @@ import google_crc32c
 import numpy as np
 
 from recast.core.errors import InputError
-from recast.core.files import disk_errors
+from recast.core.files import disk_errors, kind_of_file
 from recast.logs.importers.waymo_map import decode_features
 from recast.logs.importers.waymo_proto import FieldError, Message, decode
 from recast.logs.importers.waymo_segment import (
@@ -46,6 +47,12 @@ from recast.logs.types import Array, Float32Array
 _HEADER = struct.Struct("<QI")
 _FOOTER = struct.Struct("<I")
 _MASK = 0xA282EAD8
+_EXAMPLE = re.compile(
+    rb"\n(?P<length>[\x80-\xff]*[\x00-\x7f])\n[\x80-\xff]*[\x00-\x7f]"
+    rb"\n(?P<size>.)(?P<name>[ -~]+?)\x12",
+    re.DOTALL,
+)
+"""How a tf.Example begins: its features, the first of them, and its name."""
 _STATS = ("time_of_day", "location", "weather")
 _END = 64
 """Bytes by which a part of a record is found."""
@@ -87,8 +94,26 @@ def read_records(path: Path) -> Iterator[Record]:
         raise InputError(path, "record 0", "is missing: the file is empty", MEND)
     with path.open("rb") as file:
         while file.tell() < size:
-            yield _read_record(path, file, size, number)
+            record = _read_record(path, file, size, number)
+            if number == 0 and (feature := example_feature(record.data)):
+                problem = f"is a tf.Example of features such as {feature}, not a frame or scenario"
+                mend = "download the segments, or the motion dataset's folder scenario"
+                raise InputError(path, "record 0", problem, mend)
+            yield record
             number += 1
+
+
+def example_feature(data: bytes) -> str:
+    """The name of a feature if a record is a tf.Example, else empty.
+
+    An Example has one field: a message whose entries have a name each.
+    """
+    match = _EXAMPLE.match(data)
+    if match is None:
+        return ""
+    length = sum((byte & 127) << (7 * i) for i, byte in enumerate(match["length"]))
+    whole = match.end("length") + length == len(data)
+    return match["name"].decode() if whole and len(match["name"]) == ord(match["size"]) else ""
 
 
 def _read_record(path: Path, file: BinaryIO, size: int, number: int) -> Record:
@@ -99,7 +124,10 @@ def _read_record(path: Path, file: BinaryIO, size: int, number: int) -> Record:
     length, length_crc = _HEADER.unpack(header)
     if masked_crc(header[:8]) != length_crc:
         if number == 0:
+            file.seek(0)
+            kind = kind_of_file(file.read(512))
             problem, mend = "this is no (uncompressed) TFRecord file", "name a .tfrecord file"
+            problem += f" but {kind}" if kind else ""
         else:
             problem, mend = "does not fit its checksum", MEND
         raise InputError(path, f"{where}, length", problem, mend)
