@@ -13,6 +13,8 @@ from logs.small_log import small_log
 from recast.cli.main import main
 from recast.logs import DrivingLog, read_log
 from recast.logs.importers import IMPORTERS
+from support.tiny_argoverse2 import LOG
+from support.tiny_argoverse2 import write_tiny_log as write_tiny_argoverse2
 from support.tiny_drive import DRIVE, TinyDrive
 from support.tiny_nuscenes import SCENE, write_tiny_nuscenes
 
@@ -142,3 +144,17 @@ def test_experimental_importers_say_so(
     words = ["log", "import", "nuscenes", tmp_path / "data", "--drive", SCENE, "--out", out]
     assert main([*map(str, words)]) == 0
     assert "note: nuscenes is experimental" in capsys.readouterr().out
+
+
+def test_a_camera_without_images_is_told(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder = write_tiny_argoverse2(tmp_path / "av2")
+    for path in (folder / "sensors/cameras/ring_front_center").glob("*"):
+        path.rename(path.with_suffix(".webp"))
+    words = ["argoverse2", tmp_path / "av2", "--drive", LOG, "--out", tmp_path / "log"]
+    assert main(["log", "import", *map(str, words)]) == 0
+    imported = capsys.readouterr().out
+    assert main(["log", "info", str(tmp_path / "log")]) == 0
+    for text in (imported, capsys.readouterr().out):
+        assert "no images of ring_front_center" in " ".join(text.split())

@@ -246,7 +246,7 @@ CASES: dict[str, tuple[Damage, str]] = {
     "time before computers": (_time("1901-09-26 13:02:26"), "is not a time"),
     "time now": (_time("now"), "line 5: 'now' is not a time"),
     "time of hour 25": (_time("2011-09-26 25:02:26.5"), "is not a time"),
-    "time missing in between": (_time(""), "line 5: '' is not a time"),
+    "time missing in between": (_time(""), "line 5: is empty, but there is 0000000004.bin"),
     "times of another day": (
         lambda d: (d.folder / "image_02/timestamps.txt").write_text(
             (d.folder / "image_02/timestamps.txt").read_text().replace("09-26", "09-27")

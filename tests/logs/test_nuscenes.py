@@ -152,3 +152,20 @@ def test_tables_stream_whatever_their_layout(
         assert list(stream_rows(path)) == whole
     path.write_text("[]")
     assert list(stream_rows(path)) == []
+
+
+def test_a_sensor_without_sweeps_goes_on_with_key_frames(tiny_root: Path, tmp_path: Path) -> None:
+    shutil.copytree(tiny_root, tmp_path / "data")
+    shutil.rmtree(tmp_path / "data/sweeps/CAM_FRONT")
+    log = load_nuscenes(tmp_path / "data", tiny.SCENE)
+    assert len(log.cameras["CAM_FRONT"].images) == 5 and len(log.lidars["LIDAR_TOP"].sweeps) == 41
+
+
+def test_tables_that_nothing_is_read_from_may_be_missing(tiny_root: Path, tmp_path: Path) -> None:
+    shutil.copytree(tiny_root, tmp_path / "data")
+    tables = tmp_path / "data/v1.0-mini"
+    tiny.write_table(tables, "sample_annotation", [])
+    for name in ("attribute", "category", "instance", "log", "map", "visibility"):
+        (tables / f"{name}.json").unlink()
+    log = load_nuscenes(tmp_path / "data", tiny.SCENE)
+    assert not log.tracks and "location" not in log.metadata and log.cameras["CAM_FRONT"].images

@@ -9,7 +9,7 @@ from typing import Annotated, Any, Literal
 import tyro
 
 from recast.cli import shared
-from recast.cli.output import JSON, console_for, print_json
+from recast.cli.output import JSON, console_for, print_json, without_images
 
 
 @dataclass(frozen=True)
@@ -77,6 +77,9 @@ class Import:
                 **options,
             )
             write_log(log, self.out, bar)
+        empty = [name for name, camera in log.cameras.items() if not len(camera.timestamps_us)]
+        for line in without_images(empty):
+            console.print(line, markup=False)
         if self.importer in IMPORTERS.experimental:
             told = (
                 f"note: {self.importer} is experimental, it has not met real data: look at the log"

@@ -12,13 +12,13 @@ import json
 import math
 import re
 import traceback
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import tyro
 
-from recast.core.errors import InputError
+from recast.core.errors import InputError, printable
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -151,3 +151,9 @@ def page_of(error: InputError) -> str | None:
         if found is not None:
             return PAGES[found]
     return None
+
+
+def without_images(cameras: Sequence[str]) -> list[str]:
+    """A line that names cameras of which a log has no image; none if there are none."""
+    listed = ", ".join(map(printable, cameras))
+    return [f"no images of {listed}: the log has their calibration only"] if listed else []

@@ -11,7 +11,7 @@ from rich.console import RenderableType
 from rich.table import Table
 from rich.text import Text
 
-from recast.cli.output import Rows
+from recast.cli.output import Rows, without_images
 from recast.core.errors import printable
 from recast.logs.info import LogInfo, TrackInfo
 from recast.scene import RegionScore, SceneEvaluation
@@ -107,6 +107,8 @@ def log_info_tables(info: LogInfo, width: int) -> list[RenderableType]:
     title += f"map: {info.map_kind}" + (f" ({info.lanes} lanes)" if info.lanes else "")
     parts: list[RenderableType] = [Text(title, style="bold")]
     parts.append(_sensors(info) if info.sensors else Text("no sensors"))
+    empty = [one.name for one in info.sensors if one.kind == "camera" and not one.frames]
+    parts += [Text(line) for line in without_images(empty)]
     best = [track for track in info.tracks if track.usable][:BEST]
     parts.append(Text("best candidates for replacing:" if best else "no track can be replaced:"))
     parts.append(_reasons(best or info.tracks[:BEST], width))

@@ -35,7 +35,7 @@ from recast.logs.importers.argoverse2_files import (
     times_of,
 )
 from recast.logs.importers.argoverse2_map import city_of, find_map, read_map
-from recast.logs.importers.common import chosen_cameras, returns_valid
+from recast.logs.importers.common import IMAGES, chosen_cameras, returns_valid
 from recast.logs.types import (
     Array,
     CameraStream,
@@ -212,7 +212,7 @@ def load_argoverse2(
     calibration = _calibration(folder)
     sweeps = list_frames(folder / "sensors" / "lidar", ".feather")
     images = {
-        name: list_frames(folder / "sensors" / "cameras" / name, ".jpg")
+        name: list_frames(folder / "sensors" / "cameras" / name, *IMAGES)
         for name in calibration.cameras
     }
     chosen = chosen_cameras(folder, images, cameras)

@@ -19,7 +19,13 @@ from numpy.typing import NDArray
 from recast.core.errors import InputError
 from recast.geometry import PinholeCamera, se3
 from recast.logs import checks
-from recast.logs.importers.common import are_returns, check_drive, unit_intensity, unknown_drive
+from recast.logs.importers.common import (
+    are_returns,
+    check_drive,
+    files_of,
+    unit_intensity,
+    unknown_drive,
+)
 from recast.logs.types import Array, Int64Array, LidarSweep
 from recast.tables import read_feather
 
@@ -77,14 +83,17 @@ class TimedFiles:
         return TimedFiles(self.timestamps_us[kept], tuple(self.paths[i] for i in kept))
 
 
-def list_frames(folder: Path, suffix: str) -> TimedFiles:
+def list_frames(folder: Path, *suffixes: str) -> TimedFiles:
     """Frames `<nanoseconds><suffix>` in the order of time; none where there is no such folder.
+
+    Args:
+        suffixes: suffixes of the files, lower case.
 
     Raises:
         InputError: a name is no time, or two frames have the same microsecond.
     """
-    paths = list(folder.glob(f"*{suffix}"))
-    for path in sorted(paths):
+    paths = files_of(folder, suffixes)
+    for path in paths:
         if not _NANOSECONDS.fullmatch(path.stem) or int(path.stem) >= 1000 * checks.LATEST_US:
             raise InputError(path, "file name", "is not a time in nanoseconds", "remove the file")
     paths.sort(key=lambda path: int(path.stem))

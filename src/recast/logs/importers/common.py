@@ -15,7 +15,7 @@ from pydantic import BaseModel, ConfigDict
 
 from recast.arrays import BoolArray
 from recast.core.errors import InputError
-from recast.core.files import disk_errors, read_bytes
+from recast.core.files import disk_errors, kind_of_file, read_bytes
 from recast.geometry import se3
 from recast.logs import checks
 from recast.logs.checks import refused
@@ -26,6 +26,8 @@ _NAME_BYTES = 240
 """Longest name of a drive: file systems take 255 bytes, with its suffix."""
 LISTED = 5
 """Names of other drives in a message; a split has hundreds."""
+IMAGES = (".jpg", ".jpeg", ".png")
+"""Suffixes of image files, lower case."""
 _SWEEP_BYTES = 1 << 28
 """Longest file of a sweep."""
 FASTEST = 100.0
@@ -61,6 +63,16 @@ def check_drive(root: Path, drive: str) -> None:
     wrong = not drive or drive in (".", "..") or len(os.fsencode(drive)) > _NAME_BYTES
     if wrong or "/" in drive or "\\" in drive or "\0" in drive:
         raise InputError(root, "drive", f"{drive!r} is no name of a drive", "give its name alone")
+
+
+def files_of(folder: Path, suffixes: Sequence[str]) -> list[Path]:
+    """Files of a folder, sorted, whose suffix in lower case is one of these; none without it."""
+    return sorted(path for path in folder.glob("*") if path.suffix.lower() in suffixes)
+
+
+def words_of(text: str) -> list[str]:
+    """Words of a text file; what follows # in a line is a comment."""
+    return [word for line in text.splitlines() for word in line.partition("#")[0].split()]
 
 
 def nearest_rotation(printed: Array) -> Array | None:
@@ -150,8 +162,10 @@ def read_points(
         InputError: the file is missing, empty, cut off or too large, or a value is out of range.
     """
     data = read_bytes(path, _SWEEP_BYTES)
-    if not data or len(data) % (4 * width):
+    kind = kind_of_file(data)
+    if kind or len(data) % (4 * width):
         problem = f"{len(data)} bytes are not a whole number of {4 * width}-byte points"
+        problem += f": the file is {kind}" if kind else ""
         raise InputError(path, "points", problem, mend)
     rows = np.frombuffer(data, "<f4").reshape(-1, width)
     rows = rows[are_returns(rows[:, place])]

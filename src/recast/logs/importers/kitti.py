@@ -19,7 +19,7 @@ from recast.logs import motion
 from recast.logs.derive_map import derive_map, ego_path
 from recast.logs.images import ImageFiles
 from recast.logs.importers import kitti_files
-from recast.logs.importers.common import chosen_cameras, first_jump, returns_valid
+from recast.logs.importers.common import IMAGES, chosen_cameras, first_jump, returns_valid
 from recast.logs.importers.kitti_files import (
     KittiCalibration,
     KittiDrive,
@@ -149,7 +149,7 @@ def _cameras(files: KittiDrive, named: Sequence[str]) -> tuple[str, ...]:
 
 
 def _image_files(folder: Path, trigger_us: Int64Array) -> SensorFiles:
-    listed = kitti_files.list_frames(folder, ".png")
+    listed = kitti_files.list_frames(folder, *IMAGES)
     if listed.indices[-1] >= len(trigger_us):
         return listed
     # The scanner triggers the shutter as it faces forward; the images' stamps come about 10 ms

@@ -15,11 +15,13 @@ from recast.core import files
 from recast.core.errors import InputError
 from recast.geometry import PinholeCamera, se3
 from recast.logs.checks import SENSOR_REACH, check_reach, refused
-from recast.logs.importers.common import nearest_rotation, unknown_drive
+from recast.logs.importers.common import files_of, nearest_rotation, unknown_drive, words_of
 from recast.logs.types import Array, Int64Array
 
 TEXT_LIMIT = 1 << 26
 """Bytes of a text file; labels of a long drive have 1 MB."""
+MISSING = -1
+"""Time of a frame that was not recorded."""
 _FRAME = re.compile(r"[0-9]{1,10}")
 _TIME = re.compile(
     r"(19[7-9][0-9]|2[01][0-9]{2})-[0-9]{2}-[0-9]{2}[ T]"  # nanoseconds end in the year 2262
@@ -51,14 +53,18 @@ def find_drive(root: Path, drive: str) -> KittiDrive:
     """Locate a synchronised drive under `root`.
 
     Raises:
-        InputError: the folder or the drive does not exist.
+        InputError: the folder or the drive does not exist, or only as recorded (_extract).
     """
     if not root.is_dir():
         raise InputError(root, "KITTI folder", "does not exist", "check the path")
-    name = drive.removesuffix("_sync")
+    name = drive.removesuffix("_sync").removesuffix("_extract")
     day = root / name[:10]
-    folder = day / f"{name}_sync"
-    if not folder.is_dir():
+    folder, recorded = day / f"{name}_sync", day / f"{name}_extract"
+    if recorded.is_dir() and (drive.endswith("_extract") or not folder.is_dir()):
+        problem = "is as recorded: images are distorted, frames of the sensors do not match"
+        mend = f"take {folder.name}, which KITTI offers as [synced+rectified data]"
+        raise InputError(recorded, "drive", problem, mend)
+    if not folder.is_dir() or drive.endswith("_extract"):
         found = (path.name for path in root.glob("????_??_??/*_sync"))
         raise unknown_drive(root, drive, found, "name the folder above 2011_09_26")
     return KittiDrive(name, day, folder)
@@ -79,15 +85,18 @@ class SensorFiles:
     paths: tuple[Path, ...]
 
 
-def list_frames(sensor: Path, suffix: str) -> SensorFiles:
+def list_frames(sensor: Path, *suffixes: str) -> SensorFiles:
     """List the frames of one sensor folder and their times; timestamps.txt may list more.
+
+    Args:
+        suffixes: suffixes of the files, lower case.
 
     Raises:
         InputError: no frames, a frame without a timestamp, or timestamps out of order.
     """
-    paths = sorted((sensor / "data").glob(f"*{suffix}"))
+    paths = files_of(sensor / "data", suffixes)
     if not paths:
-        raise InputError(sensor / "data", f"*{suffix}", "no such files", "check the download")
+        raise InputError(sensor / "data", f"*{suffixes[-1]}", "no such files", "check the download")
     for path in paths:
         if not _FRAME.fullmatch(path.stem):
             raise InputError(path, "file name", "is not a frame number", "remove the file")
@@ -106,6 +115,11 @@ def list_frames(sensor: Path, suffix: str) -> SensorFiles:
             "download the file again",
         )
     chosen = times[indices]
+    if np.any(chosen == MISSING):
+        frame = int(np.argmax(chosen == MISSING))
+        problem = f"is empty, but there is {paths[frame].name} of that frame"
+        mend = "download the file again, or delete the frame to do without it"
+        raise InputError(sensor / "timestamps.txt", f"line {indices[frame] + 1}", problem, mend)
     late = np.flatnonzero(np.diff(chosen) <= 0)
     if len(late):
         line, before = indices[late[0] + 1] + 1, indices[late[0]] + 1
@@ -121,12 +135,17 @@ def list_frames(sensor: Path, suffix: str) -> SensorFiles:
 def read_timestamps(path: Path) -> Int64Array:
     """Times (F,) int64 microseconds since 1970 of "2011-09-26 13:10:51.168593664" lines.
 
+    The line of a frame that was not recorded is empty: its time is `MISSING`.
+
     Raises:
         InputError: the file is missing or a line is not a time.
     """
     times = []
     for number, line in enumerate(files.read_text(path, TEXT_LIMIT).rstrip().split("\n"), start=1):
         time = line.strip()
+        if not time:
+            times.append(MISSING)
+            continue
         try:
             if not _TIME.fullmatch(time):
                 raise ValueError
@@ -146,7 +165,7 @@ def read_numbers(path: Path) -> Array:
     """
     text = files.read_text(path, TEXT_LIMIT)
     try:
-        return np.array([float(word) for word in text.split()])
+        return np.array([float(word) for word in words_of(text)])
     except ValueError as error:
         problem = f"cannot be read ({error})"
         raise InputError(path, "numbers", problem, "download it again") from None

@@ -76,7 +76,7 @@ def read_tracking_labels(path: Path) -> list[LabelledTrack]:
     """
     rows: dict[int, list[tuple[str, Array]]] = {}
     for number, line in enumerate(files.read_text(path, TEXT_LIMIT).split("\n"), start=1):
-        words = line.split()
+        words = line.partition("#")[0].split()
         if not words or words[2:3] == ["DontCare"]:
             continue
         mend = "name a KITTI tracking label file (17 columns)"

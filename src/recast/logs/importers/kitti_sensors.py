@@ -25,6 +25,7 @@ from recast.logs import motion
 from recast.logs.checks import SENSOR_REACH
 from recast.logs.importers.common import are_returns
 from recast.logs.importers.kitti_files import (
+    MISSING,
     SensorFiles,
     list_frames,
     read_numbers,
@@ -93,14 +94,16 @@ def list_turns(folder: Path) -> VelodyneTurns:
 def turn_times(folder: Path) -> tuple[Int64Array, Int64Array, Int64Array]:
     """Trigger, start and end times (F,) of all turns of a drive, also of those without a file.
 
+    Turns that were not recorded get times between those of their neighbours.
+
     Raises:
         InputError: timestamps.txt is missing, or the files disagree about the number of turns.
     """
-    trigger = read_timestamps(folder / "timestamps.txt")
+    trigger = _filled(folder / "timestamps.txt")
     starts, ends = folder / "timestamps_start.txt", folder / "timestamps_end.txt"
     if not (starts.is_file() and ends.is_file()):
         return trigger, trigger - HALF_TURN_US, trigger + HALF_TURN_US
-    start, end = read_timestamps(starts), read_timestamps(ends)
+    start, end = _filled(starts), _filled(ends)
     for path, times in ((starts, start), (ends, end)):
         if len(times) != len(trigger):
             raise InputError(
@@ -110,6 +113,25 @@ def turn_times(folder: Path) -> tuple[Int64Array, Int64Array, Int64Array]:
                 "download the three timestamp files again",
             )
     return trigger, start, end
+
+
+def _filled(path: Path) -> Int64Array:
+    """The times (F,) of a file, missing ones interpolated.
+
+    Raises:
+        InputError: see `read_timestamps`; or fewer than two lines have a time.
+    """
+    times = read_timestamps(path)
+    known = np.flatnonzero(times != MISSING)
+    if len(known) == len(times):
+        return times
+    if len(known) < 2:
+        raise InputError(path, "lines", "fewer than two have a time", "download the file again")
+    turn = np.median(np.diff(times[known]) / np.diff(known))
+    frames = np.arange(len(times))
+    outside = np.minimum(frames - known[0], 0) + np.maximum(frames - known[-1], 0)
+    between = np.interp(frames, known, times[known]) + outside * turn
+    return np.where(times == MISSING, np.rint(between).astype(np.int64), times)
 
 
 def check_sweep_sizes(paths: Sequence[Path]) -> None:
@@ -142,6 +164,8 @@ def read_points(path: Path) -> NDArray[np.float32]:
     """
     check_sweep_sizes((path,))
     data = files.read_bytes(path, SWEEP_LIMIT)
+    if kind := files.kind_of_file(data):
+        raise InputError(path, "points", f"are missing: the file is {kind}", "download it again")
     points = np.frombuffer(data, np.float32).reshape(-1, 4)
     points = points[are_returns(points[:, :3])]
     if not np.all(np.abs(points[:, :3]) < SENSOR_REACH):

@@ -84,7 +84,7 @@ def load_nuscenes(
 
     Args:
         root: the dataset's folder, which holds v1.0-mini, v1.0-trainval or v1.0-test, samples and
-            sweeps. Without the folder sweeps, only key frames are read.
+            sweeps. Sensors without files in sweeps have key frames only. log.json may be missing.
         drive: the scene's name, such as scene-0061.
         labels: must be None, since the tables hold the boxes.
         cameras: names of the cameras to read, such as CAM_FRONT; all if empty. The files of
@@ -97,7 +97,14 @@ def load_nuscenes(
         raise InputError(labels, "labels", "nuScenes tables hold the boxes", "leave the option out")
     root = Path(root)
     tables, scene = _find_scene(root, drive)
-    recording = linked(tables, "log", LogRow, [scene], "scene", "log_token")[scene.log_token]
+    where = {}
+    if (tables / "log.json").is_file():
+        recording = linked(tables, "log", LogRow, [scene], "scene", "log_token")[scene.log_token]
+        where = {
+            "location": recording.location,
+            "date": recording.date_captured,
+            "vehicle": recording.vehicle,
+        }
     samples = select(tables / "sample.json", SampleRow, "scene_token", {scene.token})
     sensors = read_sensors(root, tables, samples, cameras)
     mounted = [sensor.name for sensor in sensors if sensor.kind == "camera"]
@@ -113,9 +120,7 @@ def load_nuscenes(
         metadata={
             "dataset": f"nuScenes {tables.name}",
             "drive": scene.name,
-            "location": recording.location,
-            "date": recording.date_captured,
-            "vehicle": recording.vehicle,
+            **where,
             "licence": LICENCE,
             KEY_FRAMES: " ".join(
                 str(time) for time in sorted(sample.timestamp for sample in samples)

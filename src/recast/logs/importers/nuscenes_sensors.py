@@ -54,7 +54,8 @@ def read_sensors(
 ) -> list[Sensor]:
     """Cameras and LiDARs of the scene whose key frames are `samples`, by name; no radars.
 
-    Where the dataset's folder `root` has no folder sweeps, frames between key frames are left out.
+    Of a sensor whose files of this scene between key frames are all missing, only the key frames
+    are taken: they come in other archives.
     Only the files of LiDARs and of the `cameras` wanted (all if empty) must be there.
 
     Raises:
@@ -63,8 +64,12 @@ def read_sensors(
     """
     path = tables / "sample_data.json"
     frames = select(path, SampleDataRow, "sample_token", {sample.token for sample in samples})
-    if not (root / "sweeps").is_dir():
-        frames = [frame for frame in frames if frame.is_key_frame]
+    with_sweeps = {
+        frame.calibrated_sensor_token
+        for frame in frames
+        if not frame.is_key_frame and (root / frame.filename).is_file()
+    }
+    frames = [f for f in frames if f.is_key_frame or f.calibrated_sensor_token in with_sweeps]
     mounts = linked(
         tables,
         "calibrated_sensor",
@@ -101,7 +106,7 @@ def _check_frame(path: Path, frame: SampleDataRow, sensor: Sensor) -> None:
         problem = f"{frame.timestamp} is there twice for {sensor.name}"
         raise refuse("timestamp", problem, "use tables as published")
     formats = ("jpg", "jpeg", "png") if sensor.kind == "camera" else ("pcd", "bin")
-    if frame.fileformat not in formats:
+    if frame.fileformat.lower() not in formats:
         problem = f"is {frame.fileformat!r}, not {' or '.join(formats)}"
         raise refuse("fileformat", problem, "use files as published")
 

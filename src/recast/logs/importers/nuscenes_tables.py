@@ -52,9 +52,9 @@ class SceneRow(Row):
 class LogRow(Row):
     """log.json: where and when scenes were recorded."""
 
-    location: str
-    date_captured: str
-    vehicle: str
+    location: str = ""
+    date_captured: str = ""
+    vehicle: str = ""
 
 
 class SampleRow(Row):
@@ -136,7 +136,7 @@ def stream_rows(path: Path) -> Iterator[dict[str, Any]]:
     if not path.is_file():
         raise InputError(path, "table", "is missing", _MEND)
     decoder = json.JSONDecoder()
-    with disk_errors(path), path.open(encoding="utf-8", errors="replace") as file:
+    with disk_errors(path), path.open(encoding="utf-8-sig", errors="replace") as file:
         text, at, row = file.read(_CHUNK).lstrip(), 1, 0
         if not text.startswith("["):
             raise InputError(path, "JSON", "does not begin a list of rows", _MEND)
@@ -195,6 +195,8 @@ def linked(
     Raises:
         InputError: see `select`; a token is not in the table.
     """
+    if not rows:  # a dataset without boxes needs no table of their kinds
+        return {}
     wanted = {getattr(row, column) for row in rows}
     found = {row.token: row for row in select(folder / f"{table}.json", model, values=wanted)}
     for row in rows:

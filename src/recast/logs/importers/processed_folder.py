@@ -19,7 +19,7 @@ from recast.core.files import read_text
 from recast.geometry import PinholeCamera, se3
 from recast.logs import checks
 from recast.logs.images import ImageFiles, image_size
-from recast.logs.importers.common import check_drive, nearest_rotation, unknown_drive
+from recast.logs.importers.common import check_drive, nearest_rotation, unknown_drive, words_of
 from recast.logs.importers.waymo_proto import CAMERA_NAME
 from recast.logs.types import Array, CameraStream
 
@@ -31,7 +31,7 @@ FARTHEST = 500.0
 _MEND = "process the scene again"
 NUMBER = re.compile(r"[0-9]{1,9}")
 """A frame, in names of files."""
-_IMAGE = re.compile(r"([0-9]{1,9})_([0-9])\.(?:png|jpg|jpeg)")
+_IMAGE = re.compile(r"([0-9]{1,9})_([0-9])\.(?:png|jpg|jpeg)", re.IGNORECASE)
 _TEXT_LIMIT = 1 << 16
 """Bytes of a file of numbers, at most."""
 
@@ -60,7 +60,7 @@ def read_numbers(path: Path, count: int) -> Array:
     """
     if not path.is_file():
         raise InputError(path, "file", "is missing", _MEND)
-    words = read_text(path, _TEXT_LIMIT).split()
+    words = words_of(read_text(path, _TEXT_LIMIT))
     try:
         numbers = np.array([float(word) for word in words])
     except ValueError:
@@ -148,7 +148,8 @@ def read_cameras(scene: Path) -> list[CameraFolder]:
     """All cameras that have images, with their calibration.
 
     Raises:
-        InputError: an image's name or camera is unknown, or a camera has no calibration.
+        InputError: an image's name or camera is unknown, a frame of a camera is there twice, or a
+            camera has no calibration.
     """
     listed: dict[int, dict[int, Path]] = {}
     for path in sorted((scene / "images").glob("*")):
@@ -156,7 +157,10 @@ def read_cameras(scene: Path) -> list[CameraFolder]:
         if parts is None or int(parts[2]) >= len(CAMERAS):
             problem = "is not FRAME_CAMERA.png or .jpg with a camera of 0 to 4"
             raise InputError(path, "file name", problem, "remove the file")
-        listed.setdefault(int(parts[2]), {})[int(parts[1])] = path
+        images = listed.setdefault(int(parts[2]), {})
+        if (other := images.setdefault(int(parts[1]), path)) != path:
+            problem = f"is the frame of {other.name}"
+            raise InputError(path, "file name", problem, "remove one of the two")
     return [_camera(scene, number, listed[number]) for number in sorted(listed)]
 
 

@@ -111,11 +111,12 @@ def read_box_rows(path: Path, mend: str) -> Iterator[BoxRow]:
     """
     if not path.is_file():
         raise InputError(path, "file", "is missing", mend)
-    lines = read_text(path).splitlines()
-    for number, line in enumerate(lines[1:], start=2):  # the first names the columns
-        words = line.split()
-        if words:
+    is_first = True
+    for number, line in enumerate(read_text(path).splitlines(), start=1):
+        words = line.partition("#")[0].split()
+        if words and not (is_first and not words[0].isdecimal()):  # it names the columns
             yield _row(path, f"line {number}", words, mend)
+        is_first = is_first and not words
 
 
 def _row(path: Path, where: str, words: list[str], mend: str) -> BoxRow:
