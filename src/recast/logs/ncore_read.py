@@ -106,15 +106,13 @@ class StoredSweeps:
         intensity = reader.get_frame_ray_bundle_return_data(frame, "intensity", 0)
         measured = reader.get_frame_ray_bundle_data(frame, "timestamp_us").astype(np.int64)
         kept = distances > checks.NEAREST_RETURN  # false for NaN; logs of other tools hold both
-        directions, distances, intensity, measured = (
-            column[kept] for column in (directions, distances, intensity, measured)
-        )
+        directions, distances, measured = directions[kept], distances[kept], measured[kept]
         points = se3.apply(self.rig_from_lidar, directions * distances[:, None])
         times: Int64Array | None = None
         if np.any(measured != reference):
             times = measured
             points = motion.compensate(points, times, self.world_from_rig, reference)
-        return LidarSweep(reference, points.astype(np.float32), intensity, times)
+        return LidarSweep(reference, points.astype(np.float32), intensity[kept], times)
 
 
 def read_trajectory(store: NcoreFolder) -> Trajectory:
