@@ -124,7 +124,7 @@ def test_the_source_image_is_measured_before_it_is_decoded(actor: Actor, tmp_pat
     data[16:24] = (9000).to_bytes(4, "big") * 2  # width and height; 324 MB of pixels
     data[29:33] = zlib.crc32(data[12:29]).to_bytes(4, "big")
     path.write_bytes(data)
-    with pytest.raises(InputError, match=r"source\.png: image: is RGBA of 9000x9000"):
+    with pytest.raises(InputError, match=r"source\.png: size: is 9000x9000, more than 67"):
         load_actor(tmp_path / "actor")
 
 

@@ -238,7 +238,7 @@ def test_damaged_images_are_one_line(folder: Path) -> None:
     for data, message in (
         (whole[key][:-30], "image: cannot be decoded"),
         (b"no image", "image: cannot be decoded"),
-        (_png(30_000, 30_000), "is 30000x30000, log.json says 7x5"),
+        (_png(30_000, 30_000), "is 30000x30000, more than 134 megapixels"),
         (_png(9_500, 9_500), "is 9500x9500, log.json says 7x5"),
         (_png(7, 5), "image: cannot be decoded"),
     ):
@@ -258,7 +258,7 @@ def test_a_damaged_mask_is_one_line(folder: Path) -> None:
     key = next(name for name in members if name.endswith("unusable/0"))
     _store(folder / MAIN, {**members, key: members[key][:40]})
     _edited(folder / MAIN, shorten)
-    _refused(folder, "image: cannot be decoded")
+    _refused(folder, "mask: cannot be decoded")
 
 
 BOX = {"track_id": "1", "class_id": "car", "timestamp_us": 1_700_000_000_100_000}

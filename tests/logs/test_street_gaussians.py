@@ -234,11 +234,11 @@ TRACKS = "track/track_info.txt"
         ),
         (
             lambda s: (s / "images/000001_0.png").write_bytes(_bomb(30_000)),
-            "images/000001_0.png: image size: is 30000x30000, its first image says 64x48",
+            "images/000001_0.png: size: is 30000x30000, more than 134 megapixels",
         ),
         (
             lambda s: (s / "images/000000_0.png").write_bytes(_bomb(100_000)),
-            "intrinsics/0.txt: numbers: PinholeCamera.width, height: 100000 x 100000",
+            "images/000000_0.png: size: is 100000x100000, more than 134 megapixels",
         ),
         (_points(**{"\u00b2": np.zeros((3, 3))}), "pointcloud.npz: array \u00b2: is no frame"),
         (_points(**{"000001": np.full((3, 3), 1e300)}), "array 000001: holds a point not within"),

@@ -120,8 +120,8 @@ def no_camera(folder: Path) -> None:
         (record_change("frame_filenames", []), r"frame_filenames: "),
         (record_change("cam_fovs", None), r"cam_fovs: Field required"),
         (no_mask, r"mask_01.png: file: is missing"),
-        (small_mask, r"mask_01.png: size: is 20x96 where frame_01.png is 96x96"),
-        (cut_short, r"frame_00.png: photograph: is none of BMP, JPEG"),
+        (small_mask, r"mask_01.png: size: is 20x96, frame_01.png 96x96"),
+        (cut_short, r"frame_00.png: picture: cannot be decoded"),
         (no_camera, r"camera.json: file: is missing"),
     ],
 )

@@ -5,14 +5,12 @@ The folder of an actor holds actor.json, a PLY file, tensors and the source imag
 
 from __future__ import annotations
 
-import io
 from collections.abc import Iterable
 from pathlib import Path
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from PIL import Image
 from safetensors.torch import save
 
 from recast.actors.actor import Actor, Provenance, triple
@@ -24,6 +22,7 @@ from recast.actors.observation import Observation
 from recast.actors.splat_files import SplatGenerator, holds_gaussians
 from recast.core import files
 from recast.core.errors import InputError
+from recast.core.images import decode_image
 from recast.core.records import Record, read_record
 from recast.core.torch_file import read_safetensors
 from recast.logs import Trajectory
@@ -161,17 +160,10 @@ def _read_refined(path: Path) -> tuple[Shares, Trajectory, NDArray[np.float64]]:
 
 
 def _read_source(path: Path) -> np.ndarray:
-    data = files.read_bytes(path, 8 * SOURCE_PIXELS)
-    try:
-        # Not through OpenCV, whose PNG reader prints and goes on where a file is damaged.
-        with Image.open(io.BytesIO(data), formats=["PNG"]) as image:
-            (width, height), mode = image.size, image.mode
-            if mode == "RGBA" and width * height <= SOURCE_PIXELS:
-                return np.array(image)
-    except Exception as error:  # Pillow's parsers let through whatever broken bytes lead to
-        raise InputError(path, "image", f"is no whole PNG ({error})", _MEND) from None
-    problem = f"is {mode} of {width}x{height} pixels, not RGBA of {SOURCE_PIXELS} at most"
-    raise InputError(path, "image", problem, _MEND)
+    levels = decode_image(path, path, ("PNG",), SOURCE_PIXELS, mend=_MEND)
+    if levels.shape[2:] != (4,) or levels.dtype != np.uint8:
+        raise InputError(path, "image", "is not an 8-bit RGBA image", _MEND)
+    return levels
 
 
 def is_vehicle_file(name: str | Path) -> bool:

@@ -24,6 +24,7 @@ from recast.actors.place import place_asset, stood_up
 from recast.arrays import Array, Image
 from recast.core.errors import InputError
 from recast.core.files import atomic_folder, read_json, write_json
+from recast.core.images import decode_image, rgb
 from recast.evaluation.table import rounded
 from recast.geometry import se3
 from recast.splats import Gaussians
@@ -104,13 +105,8 @@ def read_cell(folder: Path) -> Cell:
 def read_strip(folder: Path, name: str = "strip") -> Image:
     """A picture (H, W, 3) of a cell; InputError if it is missing or broken."""
     path = folder / f"{name}.png"
-    try:
-        with PilImage.open(path) as picture:
-            return np.asarray(picture.convert("RGB"), np.uint8)
-    except OSError as error:
-        raise InputError(
-            path, "picture", f"cannot be read ({error})", "remove its folder and run again"
-        ) from None
+    mend = "remove its folder and run again"
+    return rgb(decode_image(path, path, ("PNG",), what="picture", mend=mend))
 
 
 def place(

@@ -3,26 +3,16 @@
 from __future__ import annotations
 
 import hashlib
-import io
-from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager
 from dataclasses import dataclass, field
 from pathlib import Path
 
-import numpy as np
-from PIL.JpegImagePlugin import JpegImageFile
-from PIL.PngImagePlugin import PngImageFile
-
+from recast.core import images
 from recast.core.errors import InputError
 from recast.core.files import read_bytes
+from recast.core.images import rgb, rgba
 from recast.logs.types import Image
 
-# Not PIL.Image.open: other formats call other programs, and it warns of large images, which are
-# measured here.
-_READERS: dict[str, type[PngImageFile] | type[JpegImageFile]] = {
-    "png": PngImageFile,
-    "jpeg": JpegImageFile,
-}
 _LARGEST = 1 << 28
 """Bytes of an image file."""
 _PNG = b"\x89PNG"
@@ -31,8 +21,8 @@ _PNG = b"\x89PNG"
 def decode(
     data: bytes, kind: str, size: tuple[int, int], where: str | Path, says: str, mode: str = "RGB"
 ) -> Image:
-    """The pixels of an encoded image: (height, width, 3) uint8 of mode "RGB", or (height, width) of
-    mode "L".
+    """The pixels of an encoded image, (height, width, 3) uint8, or (height, width, 4) of mode
+    "RGBA"; upright, 16 bits scaled to 8.
 
     Args:
         kind: "png" or "jpeg".
@@ -45,7 +35,8 @@ def decode(
     """
     with _opened(data, kind, where) as image:
         require_size(image.size, size, where, says)
-        return np.array(image.convert(mode))
+        levels = image.levels()
+    return rgba(levels) if mode == "RGBA" else rgb(levels)
 
 
 def encode(image: Image, kind: str = "png", quality: int = 95) -> bytes:
@@ -63,7 +54,7 @@ def encode(image: Image, kind: str = "png", quality: int = 95) -> bytes:
 
 
 def size_of(data: bytes, kind: str, where: str | Path) -> tuple[int, int]:
-    """Width and height that an encoded image says; its pixels are not decoded.
+    """Width and height, upright, that an encoded image says; its pixels are not decoded.
 
     Args:
         kind: "png" or "jpeg".
@@ -93,19 +84,23 @@ def require_size(
         )
 
 
-@contextmanager
-def _opened(data: bytes, kind: str, where: str | Path) -> Iterator[PngImageFile | JpegImageFile]:
-    """The image, its header read, its pixels not yet."""
-    if kind not in _READERS:
+def stored(data: bytes, kind: str, where: str | Path) -> tuple[bytes, str]:
+    """An image file and its kind for a log's store, in which all are 8-bit and upright.
+
+    Its own bytes, or a PNG of what `decode` makes of it: programs differ in how they show 16 bits,
+    CMYK, or an image that its EXIF orientation turns.
+
+    Raises:
+        InputError: as of `size_of`.
+    """
+    with _opened(data, kind, where) as image:
+        return (data, kind) if image.plain else (encode(rgb(image.levels())), "png")
+
+
+def _opened(data: bytes, kind: str, where: str | Path) -> AbstractContextManager[images.OpenImage]:
+    if kind not in ("png", "jpeg"):
         raise InputError(where, "image", f"is {kind!r}, not png or jpeg", "convert it")
-    try:
-        with _READERS[kind](io.BytesIO(data)) as image:
-            yield image
-    except InputError:
-        raise
-    except Exception as error:  # Pillow raises of many kinds for damaged files
-        problem = f"cannot be decoded ({error})"
-        raise InputError(where, "image", problem, "download it again") from None
+    return images.opened(data, where, (kind.upper(),), mend="download it again")
 
 
 def kind_of(data: bytes) -> str:
@@ -150,7 +145,7 @@ class ImageFiles:
         return self._decode(path, read_bytes(path, _LARGEST))
 
     def encoded(self, index: int) -> tuple[bytes, str]:
-        """The file's own bytes, decoded once to be sure of them, unless `check` saw the same.
+        """What `stored` makes of the file, decoded once, unless `check` saw the same bytes.
 
         Raises:
             InputError: it is cut off, is no image, or has another size.
@@ -159,7 +154,7 @@ class ImageFiles:
         data = read_bytes(path, _LARGEST)
         if self.checked.get(path) != _digest(data):
             self._decode(path, data)
-        return data, kind_of(data)
+        return stored(data, kind_of(data), path)
 
     def check(self) -> None:
         """Decode every file once.

@@ -16,6 +16,7 @@ from ncore.data.v4 import (
 from scipy.spatial.transform import Rotation
 
 from recast.core import names
+from recast.core.images import decode_mask
 from recast.geometry import PinholeCamera, se3
 from recast.logs import checks, images, motion
 from recast.logs.ncore_folder import NcoreFolder, readable
@@ -168,7 +169,8 @@ def _mask(store: NcoreFolder, stored: str, size: tuple[int, int]) -> Mask | None
         return None
     data = bytes(stored_group(masks)["cameras"][stored][MASK][()])
     where = f"{store.folder}: mask of camera {stored}"
-    return images.decode(data, "png", size, where, "log.json", mode="L") == 0
+    mend = "import the log again"
+    return decode_mask(data, where, size, "log.json", formats=("PNG",), mend=mend) <= 127
 
 
 def read_lidar(store: NcoreFolder, name: str, world_from_rig: Trajectory) -> LidarStream:

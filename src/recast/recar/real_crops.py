@@ -17,19 +17,19 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
-import cv2
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, ValidationError
 
 from recast.arrays import Array, Image
 from recast.core.errors import InputError
-from recast.core.files import read_bytes, read_json
+from recast.core.files import read_json
+from recast.core.images import decode_image, decode_mask, rgb
 from recast.core.names import member
 from recast.core.records import validation_error
 from recast.geometry import PinholeCamera
-from recast.recar.ingest.photograph import photograph_size
+from recast.recar.ingest.photograph import MOST_PIXELS
 from recast.recar.set_records import Metres, Text
-from recast.recar.views import MOST_BYTES, camera_pose, pinhole
+from recast.recar.views import camera_pose, pinhole
 
 INPUT_VIEWS, RESERVED_VIEWS = "input_views", "reserved_views"
 CAMERA_FILE = "camera.json"
@@ -75,11 +75,10 @@ class RealView:
         Raises:
             InputError: a file that cannot be decoded, or a mask that is empty.
         """
-        colour = _decode(self.image, cv2.IMREAD_COLOR)
-        alpha = _decode(self.mask, cv2.IMREAD_GRAYSCALE)
+        colour, alpha = _decode(self.image, self.mask)
         if not np.any(alpha > 127):
             raise InputError(self.mask, "mask", "is empty", "mark the vehicle by 255")
-        return np.dstack([colour[..., ::-1], np.where(alpha > 127, np.uint8(255), np.uint8(0))])
+        return np.dstack([colour, np.where(alpha > 127, np.uint8(255), np.uint8(0))])
 
 
 @dataclass(frozen=True)
@@ -180,15 +179,7 @@ def _read_view(path: Path, record: _CameraRecord, index: int) -> RealView:
     names = record.frame_filenames[index], record.mask_filenames[index]
     image = member(path.parent, names[0], path, f"frame_filenames.{index}")
     mask = member(path.parent, names[1], path, f"mask_filenames.{index}")
-    height, width = _decode(image, cv2.IMREAD_COLOR).shape[:2]
-    mask_height, mask_width = _decode(mask, cv2.IMREAD_GRAYSCALE).shape
-    if (mask_width, mask_height) != (width, height):
-        raise InputError(
-            mask,
-            "size",
-            f"is {mask_width}x{mask_height} where {image.name} is {width}x{height}",
-            "cut the mask like its picture",
-        )
+    height, width = _decode(image, mask)[1].shape
     azimuth = float(np.degrees(np.arctan2(-y, -x)))
     elevation = float(np.degrees(np.arcsin(z / length)))
     return RealView(
@@ -199,13 +190,9 @@ def _read_view(path: Path, record: _CameraRecord, index: int) -> RealView:
     )
 
 
-def _decode(path: Path, mode: int) -> Image:
-    """(H, W, 3) BGR or (H, W) grey uint8, upright."""
-    photograph_size(path)  # which bounds what is decoded
-    try:
-        image = cv2.imdecode(np.frombuffer(read_bytes(path, MOST_BYTES), np.uint8), mode)
-    except cv2.error:
-        image = None
-    if image is None:
-        raise InputError(path, "picture", "cannot be decoded", "save it again as JPEG or PNG")
-    return np.asarray(image, np.uint8)
+def _decode(image: Path, mask: Path) -> tuple[Image, Image]:
+    """Colours (H, W, 3) and the mask (H, W) of a picture, upright."""
+    mend = "save it again as JPEG or PNG"
+    colours = rgb(decode_image(image, image, most_pixels=MOST_PIXELS, what="picture", mend=mend))
+    size = colours.shape[1], colours.shape[0]
+    return colours, decode_mask(mask, mask, size, image.name, most_pixels=MOST_PIXELS, mend=mend)

@@ -20,6 +20,7 @@ from numpy.typing import ArrayLike, NDArray
 from recast.arrays import Array, Image
 from recast.core.errors import InputError
 from recast.core.files import atomic_file, read_bytes
+from recast.core.images import opened, rgba
 from recast.core.progress import Progress, tell
 from recast.geometry import PinholeCamera, boxes, se3
 from recast.logs.images import encode
@@ -159,15 +160,13 @@ def read_picture(path: Path, width: int, height: int) -> Image:
 def decode_picture(data: bytes, where: str | Path, width: int, height: int) -> Image:
     """`read_picture` of the bytes of a view; `where` is named by the errors."""
     check_header(data, where, width, height)
-    try:
-        bgra = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
-    except cv2.error:
-        bgra = None
-    if bgra is None or bgra.shape != (height, width, 4) or bgra.dtype != np.uint8:
-        raise InputError(where, "view", "cannot be decoded", _MEND)
-    if not np.any(bgra[..., 3]):
+    with opened(data, where, ("PNG",), what="view", mend=_MEND) as image:
+        if image.turned:
+            raise InputError(where, "orientation", "is not upright", "save it as it looks")
+        picture = rgba(image.levels())
+    if not np.any(picture[..., 3]):
         raise InputError(where, "alpha", "is zero everywhere", _MEND)
-    return np.asarray(cv2.cvtColor(bgra, cv2.COLOR_BGRA2RGBA), np.uint8)
+    return picture
 
 
 def write_arrays(path: Path, **arrays: NDArray[Any]) -> None:

@@ -15,12 +15,12 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 from numpy.typing import NDArray
 from PIL import Image as PilImage
-from PIL import UnidentifiedImageError
 
 from recast import __version__
 from recast.core import files
 from recast.core.errors import InputError
 from recast.core.files import atomic_folder, disk_errors, write_text
+from recast.core.images import decode_image, eight_bits, opened
 from recast.reporting import palette, tables
 from recast.reporting.checks import coverage_note
 from recast.reporting.inputs import NotMade, Picture
@@ -66,10 +66,10 @@ class Assets:
         if not picture.is_file():
             return NotMade(f"{picture.name} is missing")
         try:
-            with PilImage.open(picture, formats=tuple(_FORMATS)) as image:
+            with opened(picture, picture, tuple(_FORMATS)) as image:
                 width, height = image.size
-                suffix = _FORMATS[str(image.format)]
-        except (UnidentifiedImageError, OSError):
+                suffix = _FORMATS[image.format]
+        except InputError:
             return NotMade(f"{picture.name} is no PNG or JPEG")
         target = self._target("images", name, suffix)
         shutil.copyfile(picture, target)
@@ -82,10 +82,10 @@ class Assets:
         """
         if isinstance(picture, Path) and picture.is_file():
             try:
-                with PilImage.open(picture, formats=("PNG",)) as image:
-                    if image.mode == "RGB":
-                        picture = np.asarray(image)
-            except (UnidentifiedImageError, OSError):
+                levels = decode_image(picture, picture, ("PNG",))
+                if levels.shape[2:] == (3,):
+                    picture = eight_bits(levels)
+            except InputError:
                 pass  # `picture` says what is wrong with it, or copies the JPEG that it is
         if not isinstance(picture, np.ndarray) or picture.shape[2] != 3:
             return self.picture(name, picture)

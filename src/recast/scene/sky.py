@@ -21,8 +21,8 @@ from torch import Tensor
 
 from recast.core.errors import InputError
 from recast.core.files import write_bytes
+from recast.core.images import decode_image
 from recast.geometry import PinholeCamera
-from recast.logs.images import image_size
 
 HEIGHT, WIDTH = 128, 512
 NODE_PX = 8
@@ -30,7 +30,6 @@ OPAQUE = 1.0 - 1.0 / 255.0
 """Pixels more opaque than this show no sky: what is lost is below one grey level."""
 MOST_PIXELS = 1 << 25
 """Most pixels of a sky image: 8192 x 4096, 0.04 degrees a column."""
-DEPTHS = {np.dtype(np.uint8): 255.0, np.dtype(np.uint16): 65535.0}
 MAX_WIDTH = 2048
 """Of the map made: 0.18 degrees a column, 25 MB."""
 FINER = 2
@@ -205,19 +204,11 @@ def read_sky(path: str | Path) -> SkyMap:
         InputError: the file is missing, no image, too large, or of another kind.
     """
     path = Path(path)
-    width, height = image_size(path)
-    if width * height > MOST_PIXELS:
-        problem = f"is of {width}x{height}, at most {MOST_PIXELS} pixels are read"
-        raise InputError(path, "sky image", problem, "make it smaller")
-    pixels = cv2.imdecode(np.fromfile(path, np.uint8), cv2.IMREAD_UNCHANGED)
-    if pixels is None:
-        raise InputError(path, "sky image", "is no image, or cut short", "write it anew")
-    if pixels.ndim != 3 or pixels.shape[2] != 3 or pixels.dtype not in DEPTHS:
-        raise InputError(
-            path, "sky image", f"is {pixels.shape} {pixels.dtype}", "write RGB of 8 or 16 bits"
-        )
-    colours = pixels[..., ::-1].astype(np.float32) / np.float32(DEPTHS[pixels.dtype])
-    return SkyMap(torch.from_numpy(np.ascontiguousarray(colours)))
+    pixels = decode_image(path, path, most_pixels=MOST_PIXELS, what="sky image")
+    if pixels.shape[2:] != (3,):
+        raise InputError(path, "sky image", f"is {pixels.shape}", "write RGB of 8 or 16 bits")
+    colours = pixels.astype(np.float32) / np.float32(np.iinfo(pixels.dtype).max)
+    return SkyMap(torch.from_numpy(colours))
 
 
 def sample_cubemap(faces: Tensor, directions: Tensor) -> Tensor:

@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 
 from recast.arrays import Mask
 from recast.core.errors import InputError
+from recast.core.images import decode_mask
 from recast.logs import DrivingLog
-from recast.logs.images import image_size
 from recast.logs.importers.processed_folder import CAMERAS
 from recast.pretrained import PretrainedFolder
 from recast.scene.config import SceneConfig
@@ -90,18 +90,7 @@ def _camera(log: DrivingLog, name: str) -> str:
 
 
 def _read_mask(path: Path, width: int, height: int) -> Mask:
-    found = image_size(path)
-    if found != (width, height):
-        raise InputError(
-            path,
-            "size",
-            f"is {found[0]}x{found[1]}, the image {width}x{height}",
-            "write a mask of the size of the recorded image",
-        )
-    pixels = cv2.imdecode(np.fromfile(path, np.uint8), cv2.IMREAD_GRAYSCALE)
-    if pixels is None or pixels.shape != (height, width):
-        raise InputError(path, "sky mask", "is no image, or cut short", "write it anew")
-    return pixels > 127
+    return decode_mask(path, path, (width, height), "the image", what="sky mask") > 127
 
 
 def _from_network(views: Sequence[View], folder: Path) -> Iterator[Mask]:

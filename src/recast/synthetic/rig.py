@@ -23,6 +23,7 @@ from pydantic import BaseModel, ConfigDict
 from recast.arrays import Array, Float32Array
 from recast.core import files, records
 from recast.core.errors import InputError
+from recast.core.images import decode_image
 from recast.geometry import PinholeCamera, se3
 
 RATE_HZ = 10
@@ -161,8 +162,8 @@ class Truth:
     def instance(self, camera: str, frame: int) -> NDArray[np.uint16]:
         """(height, width) whose each pixel is."""
         self._check(camera, frame)
-        with PillowImage.open(instance_file(self.folder, camera, frame)) as image:
-            return np.asarray(image).astype(np.uint16)
+        path = instance_file(self.folder, camera, frame)
+        return decode_image(path, path, ("PNG",)).astype(np.uint16)
 
     def _check(self, camera: str, frame: int) -> None:
         count = self.record.frames.get(camera, 0)

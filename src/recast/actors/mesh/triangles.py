@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -15,6 +14,7 @@ from PIL import Image
 
 from recast.arrays import Array
 from recast.core.errors import InputError
+from recast.core.images import decode_image, rgba
 from recast.core.names import member
 
 Alpha = Literal["OPAQUE", "MASK", "BLEND"]
@@ -25,7 +25,7 @@ MOST_PIXELS = 1 << 26
 """Of a texture, as its header says."""
 MOST_TEXTURES = 32
 _KEPT_EDGE = 2048  # pixels: finer than a vehicle is sampled
-_FORMATS = ("PNG", "JPEG", "WEBP", "BMP", "TGA", "TIFF")  # those whose readers only decode
+_FORMATS = ("PNG", "JPEG", "WEBP", "BMP", "TGA", "TIFF")
 
 
 @dataclass(frozen=True)
@@ -116,14 +116,6 @@ def decoded(path: Path, data: bytes, what: str) -> NDArray[np.uint8]:
     Raises:
         InputError: no whole picture of a known format, or one of more than `MOST_PIXELS`.
     """
-    try:
-        with Image.open(io.BytesIO(data), formats=_FORMATS) as image:
-            width, height = image.size
-            if width * height <= MOST_PIXELS:
-                smaller = math.ceil(max(width, height) / _KEPT_EDGE)
-                return np.array(image.convert("RGBA").reduce(smaller))
-    except Exception as error:  # Pillow's parsers let through whatever broken bytes lead to
-        known = ", ".join(_FORMATS)
-        raise InputError(path, what, f"is no whole picture ({error})", f"use {known}") from None
-    problem = f"has {width}x{height} pixels, {MOST_PIXELS} are read at most"
-    raise InputError(path, what, problem, "scale it down")
+    mend = f"use {', '.join(_FORMATS)}"
+    image = Image.fromarray(rgba(decode_image(data, path, _FORMATS, MOST_PIXELS, what, mend)))
+    return np.array(image.reduce(math.ceil(max(image.size) / _KEPT_EDGE)))

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from recast.core.errors import InputError
+from recast.core.images import eight_bits
 from recast.geometry import PinholeCamera, se3
 from recast.logs import checks
 from recast.logs.importers.common import Timed, are_returns, unit_intensity
@@ -89,7 +90,7 @@ class Py123dImages(Timed):
             found = self.scene.get_camera_at_timestamp(time, self.camera_id)
             if found is None:
                 raise InputError(self.folder, where, "has no image", _MEND)
-            image = np.asarray(found.rgb_image, np.uint8)
+            image = eight_bits(found.rgb_image)
         expected = (self.camera.height, self.camera.width, 3)
         if image.shape != expected:
             problem = f"has an image of {image.shape}, its calibration says {expected}"

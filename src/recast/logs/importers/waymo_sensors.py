@@ -19,7 +19,7 @@ from scipy.spatial.transform import Rotation
 from recast.core.errors import InputError
 from recast.geometry import PinholeCamera, se3
 from recast.logs import checks
-from recast.logs.images import decode, require_size, size_of
+from recast.logs.images import decode, require_size, size_of, stored
 from recast.logs.importers.common import Timed
 from recast.logs.importers.waymo_proto import lidar_name
 from recast.logs.importers.waymo_segment import (
@@ -69,7 +69,7 @@ class WaymoImages:
         return self._decode(index, self.entries[index].jpeg.read())
 
     def encoded(self, index: int) -> tuple[bytes, str]:
-        """The JPEG file as it is in the dataset, decoded once if no checksum vouches for it.
+        """What `stored` makes of the JPEG, decoded once if no checksum vouches for it.
 
         Raises:
             InputError: it is no JPEG, or of another size than the calibration says.
@@ -78,10 +78,9 @@ class WaymoImages:
         data = jpeg.read()
         if not jpeg.sealed:
             self._decode(index, data)
-            return data, "jpeg"
         with self._errors(index):
             require_size(size_of(data, "jpeg", ""), self._size, "", _SAYS)
-        return data, "jpeg"
+            return stored(data, "jpeg", "")
 
     @property
     def _size(self) -> tuple[int, int]:

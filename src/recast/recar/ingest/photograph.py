@@ -3,22 +3,16 @@
 from __future__ import annotations
 
 import re
-import struct
-import warnings
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Protocol
+from typing import Any, Protocol
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
-from PIL import Image as Pillow
-from PIL import ImageOps
 
 from recast.core.errors import InputError
-from recast.core.files import disk_errors
+from recast.core.images import decode_image, decode_mask, opened, rgb, rgba
 from recast.recar.ingest.duplicates import Hashes, first_twice, perceptual_hash
 from recast.recar.ingest.settings import IngestSettings, VehicleRow
 from recast.recar.set_records import LARGEST_SIDE
@@ -28,11 +22,8 @@ SUFFIXES = (".bmp", ".jpeg", ".jpg", ".png", ".tif", ".tiff", ".webp")
 MOST_PIXELS = LARGEST_SIDE**2
 """Most pixels of a photograph: each takes some 30 bytes while it is brought to size, 2 GB."""
 
-_FORMATS = ("BMP", "JPEG", "PNG", "TIFF", "WEBP")  # others may run programs of their own
-_MODES = ("1", "CMYK", "L", "LA", "P", "PA", "RGB", "RGBA", "RGBX", "YCbCr")
-_ORIENTATION = 0x0112  # EXIF tag; from 5 on the picture lies on its side
-_TOLD_LATE = (b"eXIf", b"iTXt", b"tEXt", b"zTXt")  # chunks of a PNG that may hold it
 _MEND = "replace the photograph"
+_HOW: dict[str, Any] = {"most_pixels": MOST_PIXELS, "what": "photograph", "mend": _MEND}
 
 
 def natural_order(path: Path) -> tuple[list[tuple[int, int, str]], str]:
@@ -45,15 +36,10 @@ def photograph_size(path: Path) -> tuple[int, int]:
     """Width and height, upright, from the header.
 
     Raises:
-        InputError: it is no picture, not one of 8 bits, or has more than `MOST_PIXELS`.
+        InputError: see `opened`; or more than `MOST_PIXELS`.
     """
-    with _opened(path) as picture:
-        width, height = picture.size
-        if picture.format == "PNG" and _told_late(path):
-            picture.load()
-        # Not `picture.getexif`, which decodes every PNG to look for what may follow its pixels.
-        exif = Pillow.Image.getexif(picture)
-        return (height, width) if exif.get(_ORIENTATION, 1) in range(5, 9) else (width, height)
+    with opened(path, path, **_HOW) as picture:
+        return picture.size
 
 
 def read_photograph(path: Path) -> tuple[Image, NDArray[np.uint8] | None]:
@@ -62,33 +48,23 @@ def read_photograph(path: Path) -> tuple[Image, NDArray[np.uint8] | None]:
     Raises:
         InputError: as `photograph_size`, or cut short, or transparent everywhere.
     """
-    with _opened(path) as picture:
-        transparent = "A" in picture.mode or "transparency" in picture.info
-        upright = ImageOps.exif_transpose(picture).convert("RGBA" if transparent else "RGB")
-        pixels = np.asarray(upright)
-    if not transparent or (pixels[..., 3] == 255).all():
-        return np.ascontiguousarray(pixels[..., :3]), None
-    if not pixels[..., 3].any():
+    levels = decode_image(path, path, **_HOW)
+    alpha = rgba(levels)[..., 3]
+    if (alpha == 255).all():
+        return rgb(levels), None
+    if not alpha.any():
         raise InputError(path, "alpha", "is zero everywhere", _MEND)
-    return np.ascontiguousarray(pixels[..., :3]), np.ascontiguousarray(pixels[..., 3])
+    return rgb(levels), np.ascontiguousarray(alpha)
 
 
 def read_mask(path: Path, size: tuple[int, ...]) -> NDArray[np.uint8]:
-    """A mask (H, W), grey, of a photograph of `size` (W, H): 255 on the vehicle.
+    """A mask (H, W) of a photograph of `size` (W, H): 255 on the vehicle, soft at its edge.
 
     Raises:
-        InputError: as `photograph_size`, or cut short, or of another size.
+        InputError: see `decode_mask`.
     """
-    with _opened(path) as picture:
-        pixels = np.asarray(ImageOps.exif_transpose(picture).convert("L"))
-    if pixels.shape[::-1] != tuple(size):
-        raise InputError(
-            path,
-            "size",
-            f"is {pixels.shape[1]}x{pixels.shape[0]}, the photograph's {size[0]}x{size[1]}",
-            "cut the mask like its photograph",
-        )
-    return np.ascontiguousarray(pixels)
+    how = _HOW | {"what": "mask", "mend": "replace the mask"}
+    return decode_mask(path, path, (size[0], size[1]), "the photograph", **how)
 
 
 def fit(rgb: Image, alpha: NDArray[np.uint8], width: int, height: int) -> Image:
@@ -112,54 +88,6 @@ def fit(rgb: Image, alpha: NDArray[np.uint8], width: int, height: int) -> Image:
         part = np.clip(np.round(part), 0, 255).astype(np.uint8)
     fitted[top : top + size[1], left : left + size[0]] = part
     return fitted
-
-
-def _told_late(path: Path) -> bool:
-    """Whether a PNG says something behind its pixels, as exiftool writes the orientation there."""
-    pixels = False
-    with path.open("rb") as file:
-        file.seek(8)
-        while len(head := file.read(8)) == 8:
-            size, kind = struct.unpack(">I4s", head)
-            if pixels and kind in _TOLD_LATE:
-                return True
-            pixels |= kind == b"IDAT"
-            file.seek(size + 4, 1)  # with its checksum
-    return False
-
-
-@contextmanager
-def _opened(path: Path) -> Iterator[Pillow.Image]:
-    """The picture, its header read and found to be sane, its pixels not yet."""
-    try:
-        with disk_errors(path), warnings.catch_warnings():
-            # Of its bound Pillow only warns; ours comes first.
-            warnings.simplefilter("ignore", Pillow.DecompressionBombWarning)
-            with Pillow.open(path, formats=_FORMATS) as picture:
-                _check_header(path, picture)
-                yield picture
-    except InputError:
-        raise
-    except Pillow.UnidentifiedImageError:
-        problem = f"is none of {', '.join(_FORMATS)}, or broken"
-        raise InputError(path, "photograph", problem, _MEND) from None
-    # Of damaged files its readers raise whatever their code runs into.
-    except Exception as error:
-        problem = f"cannot be read ({str(error).splitlines()[0] if str(error) else 'broken'})"
-        raise InputError(path, "photograph", problem, _MEND) from None
-
-
-def _check_header(path: Path, picture: Pillow.Image) -> None:
-    if picture.mode not in _MODES:
-        raise InputError(path, "pixels", f"are of the kind {picture.mode}", "save it with 8 bits")
-    width, height = picture.size
-    if width * height > MOST_PIXELS:
-        raise InputError(
-            path,
-            "size",
-            f"is {width}x{height}, more than {MOST_PIXELS / 1e6:.0f} megapixels",
-            "scale it down",
-        )
 
 
 class Cutout(Protocol):

@@ -14,10 +14,10 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 from PIL import Image as PilImage
-from PIL import ImageOps
 
 from recast.arrays import Image
 from recast.core.errors import InputError
+from recast.core.images import FORMATS, decode_image, eight_bits
 
 OPAQUE = 204
 """Alpha above this value (0.8 of 255) belongs to the object, as in the published pipeline."""
@@ -28,7 +28,6 @@ SMALLEST = 8
 _SEGMENT = (
     "cut the object out (a mask as alpha, PNG), or let `recast actor make` cut it out of a log"
 )
-_ALPHA_MODES = ("RGBA", "RGBa", "LA", "PA")
 MARGIN = 1.2
 """Side of the square crop over the longer side of the object's box."""
 
@@ -36,8 +35,8 @@ MARGIN = 1.2
 def read_crop(path: str | Path) -> Image:
     """Read and check the picture of one cut-out object.
 
-    Anything with alpha that Pillow decodes is taken: 8 and 16 bits, palettes, grey with alpha,
-    one transparent colour. A stored orientation (EXIF) is applied.
+    PNG, WebP, TIFF and GIF are taken: 8 and 16 bits, palettes, grey with alpha, one transparent
+    colour. A stored orientation (EXIF) is applied.
 
     Returns:
         (H, W, 4) uint8 RGBA, straight alpha (colours not multiplied by it).
@@ -45,21 +44,11 @@ def read_crop(path: str | Path) -> Image:
     Raises:
         InputError: missing, unreadable or cut short, without alpha, or refused by `check_crop`.
     """
-    try:
-        with PilImage.open(path) as file:
-            image = ImageOps.exif_transpose(file)
-            if image.mode not in _ALPHA_MODES and "transparency" not in image.info:
-                raise InputError(path, "alpha", f"is absent (mode {image.mode})", _SEGMENT)
-            rgba = np.array(image.convert("RGBA"))
-    except FileNotFoundError:
-        raise InputError(path, "picture", "is missing", "check the path") from None
-    except InputError:
-        raise
-    except (OSError, SyntaxError, ValueError, EOFError, PilImage.DecompressionBombError) as error:
-        reason = str(error).replace(f" {str(path)!r}", "").rstrip(".")
-        raise InputError(
-            path, "picture", f"cannot be read ({reason})", "save it anew as PNG with alpha"
-        ) from None
+    path = Path(path)
+    levels = decode_image(path, path, (*FORMATS, "GIF"), what="picture")
+    if levels.shape[2:] != (4,):
+        raise InputError(path, "alpha", "is absent", _SEGMENT)
+    rgba = eight_bits(levels)
     check_crop(rgba, path)
     return rgba
 

@@ -20,6 +20,7 @@ from rich.text import Text
 from recast.arrays import Image
 from recast.core import Store, files
 from recast.core.errors import printable
+from recast.core.images import decode_image, rgb
 from recast.core.names import folder_name
 from recast.core.progress import ProgressBar
 from recast.evaluation.scene_level.files import (
@@ -253,4 +254,4 @@ def _figure(
 def _cell(path: Path | None) -> Image:
     if path is None:
         return np.full((_WIDTH * 2 // 3, _WIDTH, 3), 200, np.uint8)
-    return at_width(np.asarray(PilImage.open(path).convert("RGB")), _WIDTH)
+    return at_width(rgb(decode_image(path, path)), _WIDTH)
