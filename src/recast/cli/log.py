@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -62,12 +63,13 @@ class Import:
         from recast.core.files import require_new
         from recast.core.plugins import IMPORTERS
         from recast.core.progress import ProgressBar
-        from recast.logs import load_log, write_log
+        from recast.logs import OddLogWarning, load_log, plausibility, write_log
 
         require_new(self.out)
         options: dict[str, Any] = {} if self.refine else {"refine": False}
         console = console_for(False)
-        with ProgressBar("images and sweeps", console) as bar:
+        with ProgressBar("images and sweeps", console) as bar, warnings.catch_warnings():
+            warnings.simplefilter("ignore", OddLogWarning)  # printed below
             log = load_log(
                 self.root,
                 importer=self.importer,
@@ -80,6 +82,8 @@ class Import:
         empty = [name for name, camera in log.cameras.items() if not len(camera.timestamps_us)]
         for line in without_images(empty):
             console.print(line, markup=False)
+        for sentence in plausibility(log).warnings:
+            console.print(f"warning: {sentence}", style="bold yellow", markup=False)
         if self.importer in IMPORTERS.experimental:
             told = (
                 f"note: {self.importer} is experimental, it has not met real data: look at the log"
@@ -98,9 +102,11 @@ class Info:
 
     def __call__(self) -> None:
         from recast.cli.rows.logs import log_info_tables
-        from recast.logs import load_log, log_info
+        from recast.logs import OddLogWarning, load_log, log_info
 
-        info = log_info(load_log(self.log))
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", OddLogWarning)  # printed below
+            info = log_info(load_log(self.log))
         if self.json:
             from recast.cli.rows.logs import log_rows
 

@@ -6,6 +6,7 @@ from recast.logs.hdmap import GroundHeight, HdMap, Lane
 from recast.logs.info import LogInfo, TrackInfo, TrackVisibility, log_info
 from recast.logs.load import load_log
 from recast.logs.motion import TrackPoints, all_track_points, track_points
+from recast.logs.plausibility import OddLogWarning, Plausibility, plausibility
 from recast.logs.store import read_log, write_log
 from recast.logs.types import (
     CameraStream,
@@ -25,6 +26,8 @@ __all__ = [
     "LidarStream",
     "LidarSweep",
     "LogInfo",
+    "OddLogWarning",
+    "Plausibility",
     "Track",
     "TrackInfo",
     "TrackPoints",
@@ -37,6 +40,7 @@ __all__ = [
     "load_log",
     "log_info",
     "map_of",
+    "plausibility",
     "read_log",
     "track_points",
     "write_log",

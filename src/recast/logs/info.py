@@ -12,7 +12,8 @@ import numpy as np
 
 from recast.geometry import boxes, se3
 from recast.logs.motion import all_track_points
-from recast.logs.types import CameraStream, DrivingLog, Track
+from recast.logs.plausibility import Plausibility, plausibility
+from recast.logs.types import VEHICLES, CameraStream, DrivingLog, Track
 
 SIDES = {"front": (0, 1.0), "left": (1, 1.0), "rear": (0, -1.0), "right": (1, -1.0)}
 GRAZING = np.radians(15.0)  # a face seen under a smaller angle shows nothing
@@ -20,7 +21,6 @@ NEAR = 1.0  # metres: nearer parts of a box beside the camera would cover half t
 SMALLEST = 64.0  # square pixels of a box inside the image
 WHOLE = 0.95  # of it: labels are a little large, the image may cut their edge
 SMALLEST_PART = 0.2  # of the box's rectangle inside the image
-VEHICLES = ("car", "van", "truck", "bus")
 FEWEST_POINTS = 20  # LiDAR points without which no vehicle is placed
 MOVING = 2.0  # metres: labels of parked cars wander by less
 
@@ -101,6 +101,7 @@ class LogInfo:
         ego_distance: metres driven.
         tracks: the best candidates for replacing first.
         map_kind: "none", "derived" or "surveyed".
+        plausibility: whether a vehicle can have recorded it, with what was measured.
     """
 
     name: str
@@ -111,10 +112,11 @@ class LogInfo:
     map_kind: str
     lanes: int
     metadata: dict[str, str]
+    plausibility: Plausibility
 
 
 def log_info(log: DrivingLog) -> LogInfo:
-    """Summarise a log; reads every sweep once."""
+    """Summarise a log; reads every sweep once, and some images."""
     points = all_track_points(log, log.tracks)
     places = log.world_from_rig.poses[:, :3, 3]
     sensors = [
@@ -153,6 +155,7 @@ def log_info(log: DrivingLog) -> LogInfo:
         map_kind="none" if log.map is None else "derived" if log.map.derived else "surveyed",
         lanes=0 if log.map is None else len(log.map.lanes),
         metadata=dict(log.metadata),
+        plausibility=plausibility(log),
     )
 
 

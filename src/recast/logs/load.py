@@ -22,7 +22,7 @@ from recast.core.names import member
 from recast.core.plugins import IMPORTERS
 from recast.core.progress import Progress
 from recast.core.remote import answering, cache_folder, digest, local_path, remote_path
-from recast.logs.checks import refused
+from recast.logs.plausibility import examined, require_plausible, warn_odd
 from recast.logs.store import LOG_FILE, read_log
 from recast.logs.types import DrivingLog
 
@@ -67,7 +67,12 @@ def load_log(
 
     Raises:
         InputError: no such folder, address, importer, drive or option; the remote does not answer;
-            or files are missing or broken. The line names the file and the field.
+            files are missing or broken; or no vehicle can have recorded the log. The line names
+            the file and the field.
+
+    Warns:
+        OddLogWarning: the log holds what a vehicle hardly does, such as boxes wider than long; see
+            `recast.logs.plausibility`.
 
     >>> sorted(load_log(folder / "log").tracks)
     ['0', '1']
@@ -78,13 +83,19 @@ def load_log(
             **({"cameras": tuple(cameras)} if cameras else {}),
             **options,
         }
-        return _imported(importer, source, drive, given)
+        log = _imported(importer, source, drive, given)
+        warn_odd(log)
+        return log
     if drive is not None or labels is not None or cameras or options:
         problem = "is missing, but a drive or options of an importer are given"
         raise InputError("load_log", "importer", problem, 'name one, such as importer="kitti"')
     if isinstance(source, DrivingLog):
-        return source
-    return read_log(local_folder(source, progress))
+        log = source
+        require_plausible(log, f"log {log.name}", "correct the data that the log was made of")
+    else:
+        log = read_log(local_folder(source, progress))
+    warn_odd(log)
+    return log
 
 
 def _imported(
@@ -100,9 +111,7 @@ def _imported(
     if not isinstance(log, DrivingLog):
         problem = f"returned {type(log).__name__} in place of a DrivingLog"
         raise InputError("importer", name, problem, "return the log; write_log writes it")
-    with refused(f"{root}: log {log.name}", "use the dataset's files as published"):
-        log.validate()
-    return log
+    return examined(log, root)
 
 
 def _check_call(

@@ -35,6 +35,9 @@ STEP_SIGMA = np.array([0.01, 0.01, 0.01, 3e-4, 3e-4, 3e-4])  # metres, radians: 
 PLACE_SIGMA = np.array([0.5, 0.5, 0.5, 5e-4, 5e-4, 0.02])  # metres, radians: GPS/IMU
 ITERATIONS = 5
 SLOWEST = 3.0  # m/s, at which the heading of the motion is measured
+LARGEST_OFFSET = np.radians(5.0)
+"""Radians: largest error of a mounting's yaw. More is not a mounting's error, and is left to
+`recast.logs.plausibility`."""
 
 
 def refine_trajectory(lidar: LidarStream, world_from_rig: Trajectory) -> Trajectory:
@@ -118,15 +121,18 @@ def heading_offset(trajectory: Trajectory) -> float:
     """Angle in radians from the rig's x axis to its motion: the median over the drive.
 
     The rear axle does not slip sideways on a road, so the angle is the error of the mounting's
-    yaw. Only what is faster than 3 m/s counts; 0.0 where nothing is.
+    yaw; a car that reverses moves against its x axis. Only what is faster than 3 m/s counts; 0.0
+    if nothing is, or if the angle is above `LARGEST_OFFSET`.
     """
     seconds = np.diff(trajectory.timestamps_us) / 1e6
     step = se3.inverse(trajectory.poses[:-1]) @ trajectory.poses[1:]
     moved = step[:, :2, 3]
     # Seen from the first pose a circular arc ends half its turn off the start's heading.
     angle = np.arctan2(moved[:, 1], moved[:, 0]) - se3.yaw(step) / 2
+    folded = (angle + np.pi / 2) % np.pi - np.pi / 2
     fast = np.linalg.norm(moved, axis=1) > SLOWEST * seconds
-    return float(np.median(angle[fast])) if np.any(fast) else 0.0
+    offset = float(np.median(folded[fast])) if np.any(fast) else 0.0
+    return offset if abs(offset) <= LARGEST_OFFSET else 0.0
 
 
 @dataclass(frozen=True)

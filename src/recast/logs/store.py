@@ -18,6 +18,7 @@ from recast.logs.checks import refused
 from recast.logs.map_json import read_map, write_map
 from recast.logs.ncore_folder import NcoreFolder
 from recast.logs.ncore_write import write_ncore
+from recast.logs.plausibility import require_plausible
 from recast.logs.types import DrivingLog
 
 VERSION = 1
@@ -41,11 +42,10 @@ def write_log(log: DrivingLog, path: str | Path, progress: WriteProgress | None 
         progress: called after each image or sweep, and once before the first.
 
     Raises:
-        InputError: the log is not valid, one of its images or sweeps cannot be read, `path` exists,
-            or the disk refuses.
+        InputError: the log is not valid, no vehicle can have recorded it, one of its images or
+            sweeps cannot be read, `path` exists, or the disk refuses.
     """
-    with refused(f"log {log.name}", "correct the data that the log was made of"):
-        log.validate()
+    require_plausible(log, f"log {log.name}", "correct the data that the log was made of")
     with files.atomic_folder(path) as folder:
         write_ncore(log, folder, progress or (lambda done, total: None))
         if log.map is not None:
@@ -69,7 +69,8 @@ def read_log(path: str | Path) -> DrivingLog:
         the log, with the folder's absolute path as its `origin`.
 
     Raises:
-        InputError: no such folder, not a log, another version, or a file of it missing or broken.
+        InputError: no such folder, not a log, another version, a file of it missing or broken, or
+            no vehicle can have recorded it (`recast.logs.plausibility`).
     """
     folder = Path(path).absolute()
     if not folder.is_dir():
@@ -101,8 +102,7 @@ def read_log(path: str | Path) -> DrivingLog:
         world_offset=np.array(record.world_offset, np.float64),
         metadata=record.metadata,
     )
-    with refused(path, "import the drive again"):
-        log.validate()
+    require_plausible(log, path, "import the drive again")
     object.__setattr__(log, "origin", folder)  # no argument, so that `replace` drops it
     return log
 

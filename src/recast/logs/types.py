@@ -21,6 +21,8 @@ from recast.logs.hdmap import HdMap
 
 FRAMES = ("world", "rig")
 """Names of coordinate frames, which sensors cannot have."""
+VEHICLES = ("car", "van", "truck", "bus")
+"""Categories of tracks that are motor vehicles with boxes of their own."""
 
 
 class ImageSource(Protocol):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import asdict
 from typing import Any
 
 from rich.box import SIMPLE_HEAD
@@ -14,6 +15,7 @@ from rich.text import Text
 from recast.cli.output import Rows, without_images
 from recast.core.errors import printable
 from recast.logs.info import LogInfo, TrackInfo
+from recast.logs.plausibility import Figures
 from recast.scene import RegionScore, SceneEvaluation
 from recast.scene.importers import ImportRecord
 
@@ -26,7 +28,10 @@ GAP = 2
 
 
 def log_rows(info: LogInfo) -> Rows:
-    """The log, its sensors, its metadata, and its tracks: the best for replacing first."""
+    """The log, its sensors, its metadata, and its tracks: the best for replacing first.
+
+    Also what was measured of its plausibility, and warnings.
+    """
     log = {
         "name": info.name,
         "duration_s": info.seconds,
@@ -51,6 +56,8 @@ def log_rows(info: LogInfo) -> Rows:
         "sensors": sensors,
         "tracks": [_track(track) for track in info.tracks],
         "metadata": metadata,
+        "plausibility": [asdict(info.plausibility.figures)],
+        "warnings": [{"warning": sentence} for sentence in info.plausibility.warnings],
     }
 
 
@@ -109,6 +116,11 @@ def log_info_tables(info: LogInfo, width: int) -> list[RenderableType]:
     parts.append(_sensors(info) if info.sensors else Text("no sensors"))
     empty = [one.name for one in info.sensors if one.kind == "camera" and not one.frames]
     parts += [Text(line) for line in without_images(empty)]
+    parts.append(Text(f"measured: {_measured(info.plausibility.figures)}"))
+    parts += [
+        Text(f"warning: {printable(sentence)}", style="bold yellow")
+        for sentence in info.plausibility.warnings
+    ]
     best = [track for track in info.tracks if track.usable][:BEST]
     parts.append(Text("best candidates for replacing:" if best else "no track can be replaced:"))
     parts.append(_reasons(best or info.tracks[:BEST], width))
@@ -118,6 +130,31 @@ def log_info_tables(info: LogInfo, width: int) -> list[RenderableType]:
         note += f"; no room for {', '.join(left_out)}: see --json"
     parts += [Text("\n" + note), _tracks(info.tracks, names)]
     return parts
+
+
+def _measured(figures: Figures) -> str:
+    """What the log's plausibility was judged by, as far as it has something to measure."""
+    shown = [f"rig leans {figures.rig_lean:.1f}°"]
+    if figures.heading_off is not None:
+        shown.append(f"faces {figures.heading_off:.1f}° off its motion")
+    if figures.reversing:
+        shown.append(f"{figures.reversing:.0%} of the way in reverse")
+    shown.append(f"up to {figures.speed:.1f} m/s")
+    if figures.acceleration is not None:
+        shown.append(f"{figures.acceleration:.1f} m/s²")
+    if figures.box_lean is not None:
+        shown.append(f"boxes lean up to {figures.box_lean:.1f}°")
+        shown.append(f"{figures.wider_than_long} of {figures.vehicles} vehicles wider than long")
+        shown.append(f"{figures.sideways} of {figures.moving} moving ones sideways")
+        shown.append(f"{figures.backwards} backwards")
+        shown.append(f"{figures.jumps} jumps, {figures.flips} flips of tracks")
+    if figures.principal_point is not None:
+        shown.append(f"principal points up to {figures.principal_point:.0%} off the centre")
+    if figures.one_value is not None:
+        shown.append(f"{figures.one_value:.0%} of sampled images of one colour")
+    if figures.near_points is not None:
+        shown.append(f"{figures.near_points:.1%} of LiDAR points within 0.5 m")
+    return ", ".join(shown)
 
 
 def _sensors(info: LogInfo) -> Table:

@@ -18,8 +18,8 @@ from recast.core.errors import InputError
 from recast.core.files import disk_errors, kind_of_file, read_bytes
 from recast.geometry import se3
 from recast.logs import checks
-from recast.logs.checks import refused
 from recast.logs.hdmap import Lane
+from recast.logs.plausibility import examined
 from recast.logs.types import Array, DrivingLog, Int64Array
 
 _NAME_BYTES = 240
@@ -202,15 +202,13 @@ def metres_beside(lanes: Mapping[str, Lane], ego: Array) -> float:
 def returns_valid(
     load: Callable[Concatenate[Path, Rest], DrivingLog],
 ) -> Callable[Concatenate[Path, Rest], DrivingLog]:
-    """A decorator: the log is valid, and what the disk refuses below the first argument, the
+    """A decorator: the log is `examined`, and what the disk refuses below the first argument, the
     dataset's folder, is one line."""
 
     @wraps(load)
     def loaded(root: Path, /, *args: Rest.args, **options: Rest.kwargs) -> DrivingLog:
         with disk_errors(root):
             log = load(root, *args, **options)
-        with refused(f"{root}: log {log.name}", "use the dataset's files as published"):
-            log.validate()
-        return log
+        return examined(log, root)
 
     return loaded

@@ -7,6 +7,8 @@ dataset's published schema.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -33,6 +35,7 @@ from recast.logs.importers.nuscenes_tables import (
     linked,
     select,
 )
+from recast.logs.plausibility import turned_around
 from recast.logs.types import Array, CameraStream, DrivingLog, LidarStream, Track, Trajectory
 
 EGO = "vehicle.ego"
@@ -110,21 +113,23 @@ def load_nuscenes(
     mounted = [sensor.name for sensor in sensors if sensor.kind == "camera"]
     chosen = chosen_cameras(root / drive, mounted, cameras)
     trajectory, offset = read_ego(tables, samples, sensors)
+    # Before poses are interpolated: between flipped headings they would spin.
+    tracks, notes = turned_around(read_key_tracks(tables, samples, trajectory, offset))
+    key_frames = sorted(sample.timestamp for sample in samples)
     return DrivingLog(
         name=scene.name,
         cameras={s.name: _camera(root, tables, s) for s in sensors if s.name in chosen},
         lidars={s.name: _lidar(root, tables, s) for s in sensors if s.kind == "lidar"},
         world_from_rig=trajectory,
-        tracks=read_tracks(tables, samples, trajectory, offset),
+        tracks={token: _filled(track, key_frames) for token, track in tracks.items()},
         world_offset=offset,
         metadata={
             "dataset": f"nuScenes {tables.name}",
             "drive": scene.name,
             **where,
             "licence": LICENCE,
-            KEY_FRAMES: " ".join(
-                str(time) for time in sorted(sample.timestamp for sample in samples)
-            ),
+            KEY_FRAMES: " ".join(map(str, key_frames)),
+            **notes,
         },
     )
 
@@ -164,13 +169,10 @@ def _lidar(root: Path, tables: Path, sensor: Sensor) -> LidarStream:
     return LidarStream(sensor.name, mount, times, NuScenesSweeps(times, paths, mount))
 
 
-def read_tracks(
+def read_key_tracks(
     tables: Path, samples: Sequence[SampleRow], world_from_rig: Trajectory, offset: Array
 ) -> dict[str, Track]:
-    """Tracks by instance token, posed at key frames and ten times a second between them.
-
-    Poses between two key frames in a row that both show the object are interpolated, positions
-    linearly and turns by slerp. Over a key frame without a box nothing is filled in.
+    """Tracks by instance token, posed at key frames.
 
     Args:
         tables: folder of the JSON tables.
@@ -205,10 +207,8 @@ def read_tracks(
             problem = f"a second box of instance {box.instance_token} at one key frame"
             raise InputError(path, field, problem, _MEND)
         of_instance[time] = box
-    in_order = np.array(sorted(times.values()), np.int64)
-    ends = dict(zip(in_order[:-1].tolist(), in_order[1:].tolist(), strict=True))
     return {
-        token: _track(path, token, category, grouped[token], ends, world_from_rig, offset)
+        token: _track(path, token, category, grouped[token], world_from_rig, offset)
         for token in grouped
         if (category := CATEGORIES.get(kinds[instances[token].category_token].name)) is not None
     }
@@ -219,11 +219,9 @@ def _track(
     token: str,
     category: str,
     boxes: dict[int, AnnotationRow],
-    ends: dict[int, int],
     world_from_rig: Trajectory,
     offset: Array,
 ) -> Track:
-    """The track of one instance; `ends` are those of the interval that begins at a key frame."""
     times = np.array(sorted(boxes), np.int64)
     ordered = [boxes[int(time)] for time in times]
     poses = np.stack([pose_of(path, box) for box in ordered])
@@ -237,13 +235,22 @@ def _track(
             problem = f"the box is {distance:.0f} m from the ego: mixed coordinate frames"
             raise InputError(path, f"token {box.token}: translation", problem, _MEND)
     width, length, height = np.median([box.size for box in ordered], axis=0)
-    at_keys = Trajectory(times, poses)
+    return Track(token, category, np.array([length, width, height]), Trajectory(times, poses))
+
+
+def _filled(track: Track, key_frames: Sequence[int]) -> Track:
+    """A track with poses ten times a second between key frames (in order).
+
+    Poses between two key frames in a row that both show the object are interpolated, positions
+    linearly and turns by slerp. Over a key frame without a box nothing is filled in.
+    """
+    times = track.trajectory.timestamps_us
+    boxes = set(times.tolist())
     between = [
         start + (end - start) * step // STEPS
-        for start in times.tolist()
-        if (end := ends.get(start)) in boxes
+        for start, end in pairwise(key_frames)
+        if start in boxes and end in boxes
         for step in range(1, STEPS)
     ]
     filled = np.sort(np.append(times, np.array(between, np.int64)))
-    size = np.array([length, width, height])
-    return Track(token, category, size, Trajectory(filled, at_keys.at(filled)))
+    return replace(track, trajectory=Trajectory(filled, track.trajectory.at(filled)))

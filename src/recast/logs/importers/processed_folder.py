@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -21,10 +21,13 @@ from recast.logs import checks
 from recast.logs.images import ImageFiles, image_size
 from recast.logs.importers.common import check_drive, nearest_rotation, unknown_drive, words_of
 from recast.logs.importers.waymo_proto import CAMERA_NAME
+from recast.logs.plausibility import off_centre
 from recast.logs.types import Array, CameraStream
 
 CAMERAS = tuple(CAMERA_NAME.names.values())
 """Waymo's cameras by their number in file names, which is Waymo's CameraName less one."""
+RECORDED = (*[(1920, 1280)] * 3, *[(1920, 886)] * 2)
+"""Width and height of Waymo's images by the camera's number."""
 FARTHEST = 500.0
 """Metres from the ego: no LiDAR sees farther, so such a box is of another place or frame."""
 
@@ -174,5 +177,11 @@ def _camera(scene: Path, number: int, images: dict[int, Path]) -> CameraFolder:
         camera.validate()
     except ValueError as error:
         raise InputError(path, "numbers", str(error), _MEND) from None
+    # Images are often made smaller on their way, and the intrinsics forgotten. Waymo's own sizes
+    # tell by how much; others are left to `plausibility.examined`.
+    long, high = RECORDED[number]
+    recorded = replace(camera, width=long, height=high)
+    if abs(width * high / long - height) <= 1 and off_centre(recorded) < off_centre(camera):
+        camera = recorded.resized(width, height)
     extrinsic = read_pose(scene / "extrinsics" / f"{number}.txt")
     return CameraFolder(number, dict(sorted(images.items())), camera, extrinsic)
