@@ -158,8 +158,15 @@ def test_garbage_and_what_is_not_there_have_a_status_each() -> None:
     with serving() as server:
         code, details = status(server.port, "render_rgb", b"\xff" * 50)
         assert code is grpc.StatusCode.INVALID_ARGUMENT and "is no RGBRenderRequest" in details
-        for method in ("get_loaded_scenes", "render_lidar", "shut_down"):
-            assert status(server.port, method, b"")[0] is grpc.StatusCode.UNIMPLEMENTED
+        assert status(server.port, "shut_down", b"")[0] is grpc.StatusCode.UNIMPLEMENTED
+        for method, words in (
+            ("render_lidar", "recast renders no LiDAR"),
+            ("get_loaded_scenes", "ask get_available_scenes"),
+            ("get_available_trajectories", "recast serves no trajectories"),
+        ):
+            code, details = status(server.port, method, b"\xff")
+            assert code is grpc.StatusCode.UNIMPLEMENTED
+            assert method in details and words in details
         missing = message("RGBRenderRequest", scene_id="x").SerializeToString()
         assert status(server.port, "render_rgb", missing)[0] is grpc.StatusCode.NOT_FOUND
         assert alive(server.port)

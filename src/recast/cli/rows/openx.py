@@ -56,9 +56,14 @@ def export_lines(exported: Sequence[Exported], roads: ExportedRoads | None) -> l
     ]
     if roads is None:
         return [*lines, "no road file: the log has no lanes"]
-    told = f"map.xodr: {roads.lanes} lanes; read back: {roads.metres:.1g} m apart at most"
-    if roads.links_left_out:
-        told += f"; {roads.links_left_out} links left out where lanes part and join at once"
+    told = (
+        f"map.xodr: {roads.lanes} lanes; read back: boundaries {roads.metres:.2g} m, "
+        f"centrelines {roads.centreline_metres:.2g} m apart at most"
+    )
+    if roads.left_out.links:
+        told += f"; {roads.left_out.links} links left out where lanes part and join at once"
+    if roads.left_out.neighbours:
+        told += f"; {roads.left_out.neighbours} pairs of neighbours are roads of their own"
     return [*lines, told]
 
 
@@ -79,6 +84,8 @@ def export_rows(exported: Sequence[Exported], roads: ExportedRoads | None) -> Ro
         "file": "map.xodr",
         "lanes": roads.lanes,
         "difference_m": roads.metres,
-        "links_left_out": roads.links_left_out,
+        "centreline_difference_m": roads.centreline_metres,
+        "links_left_out": roads.left_out.links,
+        "neighbours_left_out": roads.left_out.neighbours,
     }
     return {"scenarios": scenarios, "roads": [row]}

@@ -42,6 +42,14 @@ WORKERS = 8
 QUEUE = 256
 """Calls that wait, at most, beside those that are answered."""
 
+_NO_LIDAR = "recast renders no LiDAR"
+UNANSWERED = {
+    "render_lidar": _NO_LIDAR,
+    "get_loaded_scenes": "recast loads a scene when it is drawn; ask get_available_scenes",
+    "get_available_trajectories": "recast serves no trajectories; the scene's bundle has them",
+}
+"""Methods of the service that are answered with UNIMPLEMENTED, and what is said of them."""
+
 _Call = Callable[[], bool]
 
 
@@ -65,6 +73,8 @@ class SensorsimService:
         Raises:
             RefusedError: the call fails with its status.
         """
+        if method in UNANSWERED:
+            raise RefusedError("UNIMPLEMENTED", f"{method}: {UNANSWERED[method]}")
         request, reply = SENSORSIM_METHODS[method]
         try:
             asked = parse(request, data)
@@ -110,7 +120,7 @@ class SensorsimService:
 
     def _render_aggregated(self, asked: Any, wanted: _Call) -> Any:
         if asked.lidar_requests:
-            raise RefusedError("UNIMPLEMENTED", "lidar_requests: recast renders no LiDAR")
+            raise RefusedError("UNIMPLEMENTED", f"lidar_requests: {_NO_LIDAR}")
         images = self._images(asked.rgb_requests, wanted)
         returns = [message("RGBRenderReturn", image_bytes=image) for image in images]
         return message("AggregatedRenderReturn", rgb_returns=returns)
@@ -168,7 +178,7 @@ class SensorsimServer(Closing):
         # Messages are decoded in the handlers, where what is none gets its status.
         handlers = {
             method: grpc.unary_unary_rpc_method_handler(_handler(service, method))
-            for method in SENSORSIM_METHODS
+            for method in (*SENSORSIM_METHODS, *UNANSWERED)
         }
         for path in paths:
             generic = grpc.method_handlers_generic_handler(path, handlers)

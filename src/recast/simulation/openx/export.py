@@ -6,13 +6,16 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-import numpy as np
-
 from recast.core.files import atomic_folder
 from recast.core.names import folder_name
 from recast.logs.hdmap import HdMap
 from recast.simulation.openx.entities import Played
-from recast.simulation.openx.opendrive import read_opendrive, write_opendrive
+from recast.simulation.openx.opendrive import (
+    LeftOut,
+    lane_differences,
+    read_opendrive,
+    write_opendrive,
+)
 from recast.simulation.openx.openscenario import write_openscenario
 from recast.simulation.openx.read import largest_difference, read_openscenario
 
@@ -40,14 +43,16 @@ class ExportedRoads:
     """What was written of a map.
 
     Attributes:
-        lanes: number of roads of one lane each.
-        metres: largest difference of a centreline's points.
-        links_left_out: links that no junction can tell, see `junctions`.
+        lanes: number of lanes.
+        metres: largest distance of a lane boundary in the file from the map's, either way.
+        centreline_metres: the same of the centrelines.
+        left_out: links and neighbours that the format cannot express.
     """
 
     lanes: int
     metres: float
-    links_left_out: int
+    centreline_metres: float
+    left_out: LeftOut
 
 
 def export_openx(
@@ -78,10 +83,5 @@ def export_openx(
 def _roads(hdmap: HdMap, path: Path, name: str) -> ExportedRoads:
     left_out = write_opendrive(path, hdmap, name)
     back = read_opendrive(path)
-    apart = 0.0
-    for key, lane in hdmap.lanes.items():
-        line = back[key].centreline
-        # Points of the lane that nearly coincide are one in the file.
-        gaps = np.linalg.norm(lane.centreline[:, None] - line[None], axis=2).min(axis=1)
-        apart = max(apart, float(gaps.max()))
-    return ExportedRoads(len(back), apart, left_out)
+    apart = [lane_differences(lane, back[key]) for key, lane in hdmap.lanes.items()]
+    return ExportedRoads(len(back), *(max(column) for column in zip(*apart, strict=True)), left_out)
