@@ -111,7 +111,7 @@ def written(hdmap: HdMap, folder: Path) -> tuple[ET.Element, LeftOut]:
 
 @pytest.mark.parametrize("scene", SCENES)
 def test_streets_of_lines_and_arcs(scene: str, tmp_path: Path) -> None:
-    hdmap = make_street(scene, np.random.default_rng(1), 150.0).map
+    hdmap = make_street(scene, np.random.default_rng(1), 60.0).map
     root, left_out = written(hdmap, tmp_path)
     lanes, back = sampled(root), read_opendrive(tmp_path / "a.xodr")
     assert left_out == LeftOut(0, 0) and set(lanes) == set(back) == set(hdmap.lanes)

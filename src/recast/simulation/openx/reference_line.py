@@ -31,6 +31,8 @@ _EVEN = 1e-6
 """Metres over a whole road that are not a slope."""
 _MOST = 256
 """Points that two arcs follow at most: the time to fit them grows with the square of these."""
+_AT_ONCE = 1 << 18
+"""Normals and pieces of a boundary whose crossings are computed at once."""
 _SHORTEST = 0.5
 """Metres of that arc at least: the step at which trajdata looks up widths."""
 
@@ -285,17 +287,20 @@ def crossings(pieces: Array, s: Array, boundary: Array) -> Array:
     normals = np.stack([-np.sin(headings), np.cos(headings)], axis=1)
     first = float((boundary[0] - points[0]) @ normals[0])
     last = float((boundary[-1] - points[-1]) @ normals[-1])
-    step, found, near = np.diff(boundary, axis=0), np.empty(len(s)), first
-    for i in range(len(s)):
-        gap, normal = boundary[:-1] - points[i], normals[i]
-        cross = normal[0] * step[:, 1] - normal[1] * step[:, 0]
+    step, near, found = np.diff(boundary, axis=0), first, np.empty(len(s))
+    rows = max(_AT_ONCE // len(step), 1)
+    for begin in range(0, len(s), rows):
+        block = slice(begin, begin + rows)
+        gap, normal = boundary[:-1] - points[block, None], normals[block, None]
         with np.errstate(divide="ignore", invalid="ignore"):
-            t = (gap[:, 0] * step[:, 1] - gap[:, 1] * step[:, 0]) / cross
-            share = (gap[:, 0] * normal[1] - gap[:, 1] * normal[0]) / cross
-        hits = t[(share >= -1e-9) & (share <= 1 + 1e-9) & np.isfinite(t)]
-        # A line that bends may be crossed again far away: the nearest to the one before counts.
-        near = float(hits[np.argmin(np.abs(hits - near))]) if len(hits) else near
-        found[i] = near
+            cross = normal[..., 0] * step[:, 1] - normal[..., 1] * step[:, 0]
+            t = (gap[..., 0] * step[:, 1] - gap[..., 1] * step[:, 0]) / cross
+            share = (gap[..., 0] * normal[..., 1] - gap[..., 1] * normal[..., 0]) / cross
+        hit = (share >= -1e-9) & (share <= 1 + 1e-9) & np.isfinite(t)
+        for i, (ts, hits) in enumerate(zip(t, hit, strict=True), begin):
+            # A line that bends may be crossed again far away: the nearest to the last one counts.
+            near = min(ts[hits].tolist(), key=lambda value: abs(value - near), default=near)
+            found[i] = near
     found[0], found[-1] = first, last
     return found
 
