@@ -59,19 +59,41 @@ class Network:
 
 def network(lanes: Mapping[str, Lane]) -> Network:
     """The roads of a map, and their links as roads and junctions."""
-    roads = _beside_each_other(lanes)
-    while True:
-        found, lost = _linked(lanes, roads)
-        # Lanes of a road must lead on together: those that do not are roads of their own.
-        broken = {road for pair in (*lost, *_gaps(lanes, roads)) for road in pair}
-        broken = {road for road in broken if len(roads[road]) > 1}
+    rows = roads = _beside_each_other(lanes)
+    least = _linked(lanes, [(key,) for key in lanes])[0].left_out
+    while gaps := {road for pair in _gaps(lanes, roads) for road in pair if len(roads[road]) > 1}:
+        roads = _split(roads, gaps)
+    found, lost = _linked(lanes, roads)
+    while found.left_out > least:
+        # Lanes of a road must lead on together: where they do not, they are roads of their own.
+        broken = {road for pair in lost for road in pair if len(roads[road]) > 1}
         if not broken:
-            return found
-        roads = [
-            part
-            for i, road in enumerate(roads)
-            for part in ([(key,) for key in road] if i in broken else [road])
-        ]
+            break
+        tries = [_split(roads, {road}) for road in sorted(broken)]
+        counts = [_linked(lanes, one)[0].left_out for one in tries]
+        best = min(counts)
+        better = best < found.left_out
+        roads = tries[counts.index(best)] if better else _split(roads, broken)
+        found, lost = _linked(lanes, roads)
+    # Some were split only because of others.
+    for row in rows:
+        whole = [road for road in roads if road[0] not in row]
+        if len(row) < 2 or len(whole) + 1 == len(roads):
+            continue
+        whole.append(row)
+        again, _ = _linked(lanes, whole)
+        if again.left_out <= found.left_out and not _gaps(lanes, whole):
+            roads, found = whole, again
+    return found
+
+
+def _split(roads: Sequence[tuple[str, ...]], broken: set[int]) -> list[tuple[str, ...]]:
+    """Roads, those of the given numbers split into their lanes."""
+    return [
+        part
+        for i, road in enumerate(roads)
+        for part in ([(key,) for key in road] if i in broken else [road])
+    ]
 
 
 def _beside_each_other(lanes: Mapping[str, Lane]) -> list[tuple[str, ...]]:

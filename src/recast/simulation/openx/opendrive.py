@@ -26,14 +26,15 @@ from recast.simulation.openx import reference_line
 from recast.simulation.openx.junctions import Network, network
 from recast.simulation.openx.read import XmlFile
 
-_STEP = 0.1
-"""Metres between cross sections at which boundaries are looked up."""
-_MOST_STEPS = 4000
-"""Cross sections of a road at most; longer roads have longer steps."""
+_STEP = 0.05
+"""Metres between cross sections at which boundaries are written and read: where a lane is slanted
+or turns about a corner, they lie further apart at its other side."""
+_LEAST_STEPS, _MOST_STEPS = 200, 4000
+"""Cross sections of a road; longer roads have longer steps."""
 _ROUNDED = 0.001
 """Metres by which a piecewise linear width, offset or height may leave them."""
-_READ_STEP = 0.25
-"""Metres between the points of a lane that is read."""
+_GOOD = 0.02
+"""Metres from the map's boundaries, either way, up to which no other reference line is tried."""
 _LANE_ID = "lane_id"
 
 
@@ -121,9 +122,8 @@ def _road(
     boundaries = [lane.right_boundary[:, :2] for lane in lanes]
     boundaries.insert(0, lanes[0].left_boundary[:, :2])
     middle = lanes[len(lanes) // 2].centreline
-    corners = [(boundaries[0][end], boundaries[-1][end]) for end in (0, -1)]
-    pieces = reference_line.between(middle[:, :2], *corners)
-    length = float(pieces[:, 3].sum())
+    pieces, s, beside = _cross_sections(middle[:, :2], boundaries)
+    length = float(s[-1])
     inside = links.junction.get(number)
     junction = -1 if inside is None else len(links.roads) + inside
     name = quote(keys[0], safe="")
@@ -148,13 +148,10 @@ def _road(
             _add(geometry, "arc", curvature=curvature)
         else:
             _add(geometry, "line")
-    steps = int(np.clip(math.ceil(length / _STEP), 4, _MOST_STEPS))
-    s = np.linspace(0, length, steps + 1)
     profile = _add(road, "elevationProfile")
     for row in reference_line.linear(s, _heights(pieces, s, middle), _ROUNDED):
         _add(profile, "elevation", **row)
     _add(road, "lateralProfile")
-    beside = [reference_line.crossings(pieces, s, boundary) for boundary in boundaries]
     section = _add(road, "lanes")
     for row in reference_line.linear(s, beside[0], _ROUNDED):
         _add(section, "laneOffset", **row)
@@ -181,6 +178,32 @@ def _road(
         if lane.speed_limit is not None:
             _add(own, "speed", sOffset=0.0, max=float(lane.speed_limit), unit="m/s")
         _add(own, "userData", code=_LANE_ID, value=quote(lane.lane_id, safe=""))
+
+
+def _cross_sections(middle: Array, boundaries: list[Array]) -> tuple[Array, Array, list[Array]]:
+    """Pieces of a reference line, s (N,) of its cross sections, and at which distance to the left
+    (N,) each boundary lies. The line follows the middle; where a lane turns so tightly that normals
+    cross within it, an outer boundary."""
+    corners = [(boundaries[0][end], boundaries[-1][end]) for end in (0, -1)]
+    best, least = None, np.inf
+    for line in (middle, boundaries[0], boundaries[-1]):
+        pieces = reference_line.between(line, *corners)
+        length = float(pieces[:, 3].sum())
+        steps = int(np.clip(math.ceil(length / _STEP), _LEAST_STEPS, _MOST_STEPS))
+        s = np.linspace(0, length, steps + 1)
+        beside = [reference_line.crossings(pieces, s, boundary) for boundary in boundaries]
+        points, headings = reference_line.evaluate(pieces, s)
+        left = np.stack([-np.sin(headings), np.cos(headings)], axis=1)
+        apart = max(
+            reference_line.apart(points + t[:, None] * left, boundary)
+            for t, boundary in zip(beside, boundaries, strict=True)
+        )
+        if apart < least:
+            best, least = (pieces, s, beside), apart
+        if least < _GOOD:
+            break
+    assert best is not None
+    return best
 
 
 def _heights(pieces: Array, s: Array, line: Array) -> Array:
@@ -269,7 +292,7 @@ def _read_road(
         raise file.fault("road", "has no geometry")
     pieces = np.array(table)
     length = float(pieces[:, 3].sum())
-    steps = int(np.clip(math.ceil(length / _READ_STEP), 4, _MOST_STEPS))
+    steps = int(np.clip(math.ceil(length / _STEP), _LEAST_STEPS, _MOST_STEPS))
     s = np.union1d(np.linspace(0, length, steps + 1), np.cumsum(pieces[:-1, 3]))
     points, headings = reference_line.evaluate(pieces, s)
     normals = np.stack([-np.sin(headings), np.cos(headings)], axis=1)
@@ -303,15 +326,9 @@ def lane_differences(lane: Lane, other: RoadLane) -> tuple[float, float]:
     """Largest distances in plan, either way, of a lane's boundaries and of its centreline from
     those that a file tells, metres."""
 
-    def apart(one: Array, two: Array) -> float:
-        one, two = one[:, :2], two[:, :2]
-        return max(
-            float(reference_line.beside(one, two).max()),
-            float(reference_line.beside(two, one).max()),
-        )
-
     boundaries = (
-        apart(getattr(lane, side), getattr(other, side))
+        reference_line.apart(getattr(lane, side)[:, :2], getattr(other, side)[:, :2])
         for side in ("left_boundary", "right_boundary")
     )
-    return max(boundaries), apart(lane.centreline, other.centreline)
+    centrelines = reference_line.apart(lane.centreline[:, :2], other.centreline[:, :2])
+    return max(boundaries), centrelines

@@ -31,6 +31,8 @@ _EVEN = 1e-6
 """Metres over a whole road that are not a slope."""
 _MOST = 256
 """Points that two arcs follow at most: the time to fit them grows with the square of these."""
+_MARGIN = 0.1
+"""Metres added to that reach."""
 _AT_ONCE = 1 << 18
 """Normals and pieces of a boundary whose crossings are computed at once."""
 _SHORTEST = 0.5
@@ -124,11 +126,9 @@ def _biarc(start: Array, first: Array, end: Array, last: Array) -> Array:
     return pieces
 
 
-def _apart(pieces: Array, line: Array) -> float:
-    """Largest distance between pieces and a polyline, either way."""
-    length = float(pieces[:, 3].sum())
-    points, _ = evaluate(pieces, np.linspace(0, length, 4 * len(line) + 1))
-    return max(float(beside(points, line).max()), float(beside(line, points).max()))
+def apart(one: Array, other: Array) -> float:
+    """Largest distance between points of two polylines (N, 2) and the other line, either way."""
+    return max(float(beside(one, other).max()), float(beside(other, one).max()))
 
 
 def beside(points: Array, line: Array) -> Array:
@@ -153,7 +153,8 @@ def fit(line: Array, ways: Array) -> Array:
             if next_j == j:
                 break
             pieces = span(next_j)
-            if _apart(pieces, line[i : next_j + 1]) <= TOLERANCE:
+            at = np.linspace(0, float(pieces[:, 3].sum()), 4 * (next_j - i + 1) + 1)
+            if apart(evaluate(pieces, at)[0], line[i : next_j + 1]) <= TOLERANCE:
                 best, j, step = pieces, next_j, 2 * step
             else:
                 step //= 2
@@ -231,13 +232,14 @@ def between(line: Array, first: tuple[Array, Array], last: tuple[Array, Array]) 
     line = cleaned(line)
     ways = tangents(line)
     ends = []
-    for (left, right), way in ((first, ways[0]), (last, ways[-1])):
+    for (left, right), way, point in ((first, ways[0], line[0]), (last, ways[-1], line[-1])):
         across = right - left
         width = float(np.linalg.norm(across))
         normal = np.array([-across[1], across[0]]) / max(width, 1e-12)
         # Corners that coincide, or lie the wrong way round, tell no direction.
         heading = heading_of(normal if width > _CLOSEST and normal @ way > 0 else way)
-        ends.append(((left + right) / 2, heading, width / 2 + 0.1))
+        reach = max(float(np.linalg.norm(corner - point)) for corner in (left, right))
+        ends.append(((left + right) / 2, heading, reach + _MARGIN))
     (start, start_heading, start_reach), (end, end_heading, end_reach) = ends
     lead = np.zeros((0, 5))
     tail = np.zeros((0, 5))
