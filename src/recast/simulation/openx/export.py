@@ -84,4 +84,5 @@ def _roads(hdmap: HdMap, path: Path, name: str) -> ExportedRoads:
     left_out = write_opendrive(path, hdmap, name)
     back = read_opendrive(path)
     apart = [lane_differences(lane, back[key]) for key, lane in hdmap.lanes.items()]
-    return ExportedRoads(len(back), *(max(column) for column in zip(*apart, strict=True)), left_out)
+    boundaries, centrelines = (max(column) for column in zip(*apart, strict=True))
+    return ExportedRoads(len(back), boundaries, centrelines, left_out)

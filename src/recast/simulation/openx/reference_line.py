@@ -112,11 +112,12 @@ def _arc(start: Array, way: Array, end: Array) -> list[float]:
 def _biarc(start: Array, first: Array, end: Array, last: Array) -> Array:
     """Two arcs (2, 5) between two points with their directions, tangent where they meet."""
     chord, both = end - start, first + last
-    denominator = 2 * (1 - first @ last)
+    denominator = 2 * (1 - float(first @ last))
     along, square = float(chord @ both), float(chord @ chord)
+    reach: float
     if denominator > 1e-12:
         # The root without the difference of two nearly equal numbers.
-        root = np.sqrt(along**2 + denominator * square)
+        root = float(np.sqrt(along**2 + denominator * square))
         reach = square / (along + root) if along >= 0 else (root - along) / denominator
     else:
         reach = square / (2 * along) if along > 0 else float(np.sqrt(square)) / 2
