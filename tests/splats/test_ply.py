@@ -11,7 +11,9 @@ import torch
 from tests.splats.scenes import random_gaussians
 
 from recast.core.errors import InputError
-from recast.splats import Gaussians, read_ply, write_ply
+from recast.splats import MIP, Gaussians, read_ply, write_ply
+from recast.splats.ply import read_low_pass
+from recast.splats.sh import C0
 
 
 def equal(a: Gaussians, b: Gaussians) -> bool:
@@ -143,14 +145,96 @@ def test_missing_harmonic(tmp_path: Path) -> None:
         read_ply(foreign_file(tmp_path / "a.ply", columns))
 
 
-@pytest.mark.parametrize("value", [np.nan, np.inf])
-@pytest.mark.parametrize("name", ["y", "opacity", "f_rest_5"])
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [(name, value) for name in ("y", "f_rest_5", "scale_0") for value in (np.nan, np.inf)]
+    + [("opacity", np.nan), ("y", -np.inf)],
+)
 def test_value_that_is_not_finite_is_named(tmp_path: Path, name: str, value: float) -> None:
     columns = columns_of(random_gaussians("normal", count=5, degree=1))
     columns[name] = columns[name].copy()
     columns[name][3] = value
     with pytest.raises(InputError, match=f"property {name}: row 3 is not finite"):
         read_ply(foreign_file(tmp_path / "a.ply", columns))
+
+
+def test_an_infinite_logit_is_an_opacity_of_one_or_zero(tmp_path: Path) -> None:
+    columns = columns_of(random_gaussians("normal", count=5, degree=1))
+    columns["opacity"] = np.array([0, np.inf, -np.inf, 1, 2], np.float32)
+    columns["scale_1"] = np.array([0, -np.inf, 0, 0, 0], np.float32)
+    gaussians = read_ply(foreign_file(tmp_path / "a.ply", columns))
+    np.testing.assert_array_equal(gaussians.means[:, 0], columns["x"][[0, 1, 3, 4]])
+    assert float(gaussians.logit_opacities[1].double().sigmoid()) == pytest.approx(
+        1 - 2**-24, abs=1e-8
+    )
+    assert float(gaussians.log_scales[1, 1].exp()) < 1e-20
+
+
+def test_the_filter_of_mip_splatting_widens_and_fades(tmp_path: Path) -> None:
+    """sqrt(0.05^2 + 0.05^2), and an opacity of 0.88 times the root of the determinants' ratio."""
+    gaussians = random_gaussians("normal", count=4)
+    gaussians.log_scales[:] = np.log(0.05)
+    gaussians.logit_opacities[:] = np.log(0.88 / 0.12)
+    columns = columns_of(gaussians) | {"filter_3D": np.full(4, 0.05, np.float32)}
+    path = foreign_file(tmp_path / "a.ply", columns)
+    filtered = read_ply(path)
+    np.testing.assert_allclose(filtered.log_scales.exp(), 0.0707, rtol=1e-3)
+    np.testing.assert_allclose(filtered.logit_opacities.sigmoid(), 0.311, atol=1e-3)
+    assert torch.equal(filtered.means, gaussians.means)
+    assert read_low_pass(path) == MIP
+    np.testing.assert_array_equal(read_ply(path, double=True).log_scales, filtered.log_scales)
+    columns["scale_0"] = np.full(4, np.log(0.02), np.float32)
+    thin = read_ply(foreign_file(path, columns))
+    share = 0.02 / np.hypot(0.02, 0.05) / 2
+    np.testing.assert_allclose(thin.logit_opacities.sigmoid(), 0.88 * share, rtol=1e-4)
+
+
+def test_doubles_keep_their_digits_until_they_are_moved(tmp_path: Path) -> None:
+    gaussians = random_gaussians("normal", count=50, degree=1)
+    offset = np.array([458123.25, 5428765.5, 112.0])
+    columns = columns_of(gaussians)
+    for i, name in enumerate("xyz"):
+        columns[name] = columns[name].astype(np.float64) + offset[i]
+    path = foreign_file(tmp_path / "a.ply", columns)
+    pose = torch.eye(4, dtype=torch.float64)
+    pose[:3, 3] = torch.from_numpy(-offset)
+    placed = read_ply(path, double=True).transformed(pose)
+    np.testing.assert_allclose(placed.means, gaussians.means, atol=1e-8)
+    assert placed.quats.dtype == placed.sh.dtype == torch.float32
+    assert read_ply(path).means.dtype == torch.float32
+
+
+@pytest.mark.parametrize("form", ["binary_little_endian", "binary_big_endian", "ascii"])
+def test_headers_of_other_programs(tmp_path: Path, form: str) -> None:
+    """Comments in any encoding that name end_header, Windows line ends, elements before vertex."""
+    gaussians = random_gaussians("normal", count=3, degree=1)
+    path = foreign_file(tmp_path / "a.ply", columns_of(gaussians), form)
+    head, _, body = path.read_bytes().partition(b"end_header\n")
+    first = np.array([7, 8], ">u2" if "big" in form else "<u2").tobytes()
+    start = (
+        b"comment end_header of Stra\xdfe\x85\nelement info 2\nproperty ushort id\nelement vertex"
+    )
+    head = head.replace(b"element vertex", start) + b"end_header\n"
+    body = (b"7\n8\n" if form == "ascii" else first) + body
+    path.write_bytes(head.replace(b"\n", b"\r\n") + body)
+    assert equal(read_ply(path), gaussians)
+    assert read_low_pass(path) is None
+
+
+def test_discs_and_plain_colours(tmp_path: Path) -> None:
+    """2DGS has two scales; some exporters write red green blue instead of f_dc."""
+    gaussians = random_gaussians("normal", count=3)
+    columns = columns_of(gaussians)
+    del columns["scale_2"]
+    flat = read_ply(foreign_file(tmp_path / "a.ply", columns))
+    assert torch.equal(flat.log_scales[:, :2], gaussians.log_scales[:, :2])
+    assert float(flat.log_scales[:, 2].exp().max()) < 1e-20
+    for i, name in enumerate(("red", "green", "blue")):
+        del columns[f"f_dc_{i}"]
+        columns[name] = np.array([0, 51, 255], np.uint8)
+    for form in ("binary_little_endian", "ascii"):
+        plain = read_ply(foreign_file(tmp_path / "b.ply", columns, form))
+        np.testing.assert_allclose(plain.sh[:, 0, 1] * C0 + 0.5, [0, 0.2, 1], atol=1e-6)
 
 
 def test_quaternion_of_norm_zero(tmp_path: Path) -> None:
@@ -190,12 +274,22 @@ def test_truncated_at_every_length(tmp_path: Path, form: str) -> None:
         b"ply\nformat ascii 1.0\nelement vertex 99999999999999\nproperty float x\nend_header\n1",
         b"ply\nformat ascii 1.0\nelement vertex -1\nproperty float x\nend_header\n",
         b"ply\n\xff\xfe\nend_header\n",
+        b"ply\nformat ascii 1.0\nelement face 1\nproperty list uchar int a\nelement vertex 0\n"
+        b"property float x\nend_header\n",
     ],
 )
 def test_what_is_no_ply_is_refused(tmp_path: Path, content: bytes) -> None:
     (tmp_path / "bad.ply").write_bytes(content)
     with pytest.raises(InputError, match=r"bad\.ply"):
         read_ply(tmp_path / "bad.ply")
+
+
+def test_the_compressed_layout_is_named(tmp_path: Path) -> None:
+    header = "ply\nformat binary_little_endian 1.0\nelement chunk 1\nproperty float min_x\n"
+    header += "element vertex 1\nproperty uint packed_position\nend_header\n"
+    (tmp_path / "a.ply").write_bytes(header.encode() + bytes(8))
+    with pytest.raises(InputError, match="compressed PLY of SuperSplat"):
+        read_ply(tmp_path / "a.ply")
 
 
 def test_missing_file_and_folder(tmp_path: Path) -> None:

@@ -115,6 +115,10 @@ class Gaussians:
         """The same values without gradient history."""
         return self._map(Tensor.detach)
 
+    def with_centres(self, double: bool) -> Gaussians:
+        """The same Gaussians with centres of float64 or float32."""
+        return replace(self, means=self.means.double() if double else self.means.float())
+
     def to(self, device: torch.device | str) -> Gaussians:
         """The same values on another device."""
         return self._map(lambda value: value.to(device))
@@ -124,6 +128,8 @@ class Gaussians:
 
     def transformed(self, world_from_local: Tensor, scale: float = 1.0) -> Gaussians:
         """The Gaussians moved to another frame, their colours turning with them.
+
+        Centres may be float64 beside fields of float32, so that they can be moved from far away.
 
         Args:
             world_from_local: (4, 4) rigid transform.
@@ -144,14 +150,14 @@ class Gaussians:
                 raise ValueError("Gaussians.transformed: world_from_local is not a rigid transform")
         if not scale > 0:
             raise ValueError(f"Gaussians.transformed: scale {scale}, expected a positive number")
-        turn = left_matrix(matrix_to_quat(rotation)).to(self.quats.device)
+        turn = left_matrix(matrix_to_quat(rotation)).to(self.quats)
         device = self.means.device
         return Gaussians(
             means=torch.addmm(translation.to(device), self.means, scale * rotation.T.to(device)),
             quats=self.quats @ turn.T,
             log_scales=self.log_scales if scale == 1 else self.log_scales + math.log(scale),
             logit_opacities=self.logit_opacities,
-            sh=harmonics.rotate(self.sh, rotation),
+            sh=harmonics.rotate(self.sh, rotation.to(self.sh.dtype)),
         )
 
 

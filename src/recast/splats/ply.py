@@ -4,12 +4,17 @@ One element `vertex` with the float properties x y z, nx ny nz (zeros), f_dc_0..
 channel after the other: index c (K - 1) + k - 1 for channel c and harmonic k), opacity (logit),
 scale_0..2 (log), rot_0..3 (wxyz). A header line such as "comment low_pass 0.1 antialiased" may say
 which filter they were made for.
+
+Read as well: Mip-Splatting's `filter_3D`, the discs of 2DGS (no scale_2), and red green blue in the
+place of f_dc.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import re
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
@@ -18,7 +23,9 @@ from numpy.typing import NDArray
 from recast.core.errors import InputError
 from recast.core.files import disk_errors, write_bytes
 from recast.splats.gaussians import Gaussians
-from recast.splats.low_pass import LowPass, parse_low_pass
+from recast.splats.linear import from_linear, to_linear
+from recast.splats.low_pass import MIP, LowPass, parse_low_pass
+from recast.splats.sh import C0
 
 _TYPES = {
     **dict.fromkeys(("char", "int8"), "i1"),
@@ -41,6 +48,10 @@ _PROPERTIES = {
 }
 _LOW_PASS = "comment low_pass"
 _LONGEST_HEADER = 1 << 16  # bytes that are searched for the declaration
+_END = re.compile(rb"^end_header[ \t]*\r?\n", re.MULTILINE)
+_FILTER = "filter_3D"  # standard deviation in metres, of Mip-Splatting and what builds on it
+_COLOURS = ("red", "green", "blue")
+_COMPRESSED = "packed_position"
 _EXPORT_AGAIN = "export it again as a 3D Gaussian splatting PLY"
 
 
@@ -91,19 +102,31 @@ def write_ply(path: str | Path, gaussians: Gaussians, low_pass: LowPass | None =
 def read_low_pass(path: str | Path) -> LowPass | None:
     """The filter that a file's header declares, as `write_ply` does; None if it declares none.
 
+    A file with `filter_3D` was made for the filter of Mip-Splatting.
+
     Raises:
         InputError: the file is missing, or the declaration cannot be understood.
     """
     with disk_errors(path), Path(path).open("rb") as file:
-        head, end, _ = file.read(_LONGEST_HEADER).partition(b"end_header")
-    for line in head.decode("ascii", "replace").splitlines() if end else []:
+        data = file.read(_LONGEST_HEADER)
+    end = _END.search(data)
+    lines = [] if end is None else _lines(data[: end.start()])
+    for line in lines:
         if line.startswith(_LOW_PASS):
             return parse_low_pass(path, line.removeprefix(_LOW_PASS))
-    return None
+    return MIP if any(line.split()[2:] == [_FILTER] for line in lines) else None
 
 
-def read_ply(path: str | Path) -> Gaussians:
+def read_ply(path: str | Path, double: bool = False) -> Gaussians:
     """Read Gaussians; properties may come in any order, and ones not known are ignored.
+
+    An opacity of +inf is the largest below 1, Gaussians with an opacity of -inf are left out, and a
+    scale of -inf is flat. `filter_3D` widens the Gaussians and lowers their opacities, as
+    Mip-Splatting does before it draws them.
+
+    Args:
+        double: whether centres are float64, for coordinates far from the origin that are still to
+            be moved; the rest is float32.
 
     Raises:
         InputError: the file is missing, no PLY, truncated, lacks a property, or holds a value that
@@ -119,17 +142,29 @@ def read_ply(path: str | Path) -> Gaussians:
         raise InputError(
             path, "f_rest_*", f"{rest} properties, expected 0, 9, 24 or 45", _EXPORT_AGAIN
         )
-    names = [name for name in _names(rest) if name[0] != "n"]
+    painted = "f_dc_0" not in found and set(_COLOURS) <= set(found)
+    sides = 2 if "scale_1" in found and "scale_2" not in found else 3
+    absent = {"nx", "ny", "nz", *(f"scale_{i}" for i in range(sides, 3))}
+    absent |= {f"f_dc_{i}" for i in range(3)} if painted else set()
+    names = [name for name in _names(rest) if name not in absent]
+    names += [*(_COLOURS if painted else ()), *([_FILTER] if _FILTER in found else [])]
     for name in names:
         if name not in found:
             raise InputError(path, f"property {name}", "is missing", _EXPORT_AGAIN)
     vertices = _read_vertices(path, data, header)
-    columns = {name: _column(path, vertices, name) for name in names}
+    kept = vertices["opacity"] != -np.inf
+    vertices = vertices if kept.all() else vertices[kept]
+    columns = {
+        name: _column(path, vertices, name, "f8" if double and name in "xyz" else "f4")
+        for name in names
+    }
+    columns |= {f"scale_{i}": np.full_like(columns["scale_0"], -np.inf) for i in range(sides, 3)}
 
     def stack(*names: str) -> torch.Tensor:
         return torch.from_numpy(np.stack([columns[name] for name in names], axis=-1))
 
-    sh = [stack(*(f"f_dc_{i}" for i in range(3)))[:, None]]
+    constant = stack(*(_COLOURS if painted else (f"f_dc_{i}" for i in range(3))))
+    sh = [((constant - 0.5) / C0 if painted else constant)[:, None]]
     if rest:
         flat = stack(*(f"f_rest_{i}" for i in range(rest)))
         sh.append(flat.reshape(len(flat), 3, rest // 3).transpose(1, 2))
@@ -140,17 +175,70 @@ def read_ply(path: str | Path) -> Gaussians:
         logit_opacities=torch.from_numpy(columns["opacity"]),
         sh=torch.cat(sh, dim=1).contiguous(),
     )
+    gaussians = _without_infinities(gaussians)
+    if _FILTER in columns:
+        gaussians = _filtered(gaussians, torch.from_numpy(columns[_FILTER]))
     fault = gaussians.fault()
     if fault is not None:
         raise InputError(path, f"property {_PROPERTIES[fault[0]]}", fault[1], _EXPORT_AGAIN)
     return gaussians
 
 
+def _without_infinities(gaussians: Gaussians) -> Gaussians:
+    """An opacity of 1 and deviations of 0 as the nearest numbers that have a logit or a log."""
+    limits = from_linear(*(torch.tensor([[v]]) for v in (0.0, 1.0, 0.0, 1.0, 0.0)))
+    return replace(
+        gaussians,
+        log_scales=torch.where(
+            gaussians.log_scales == -torch.inf, limits.log_scales, gaussians.log_scales
+        ),
+        logit_opacities=torch.where(
+            gaussians.logit_opacities == torch.inf,
+            limits.logit_opacities[0],
+            gaussians.logit_opacities,
+        ),
+    )
+
+
+def _filtered(gaussians: Gaussians, deviation: torch.Tensor) -> Gaussians:
+    """Gaussians as Mip-Splatting draws them (Yu et al. 2024, section 4.1).
+
+    Each is convolved with an isotropic Gaussian, and its opacity is lowered by the root of the
+    ratio of the covariances' determinants, so that it keeps its integral.
+
+    Args:
+        deviation: (N,) standard deviation of the filter in metres.
+    """
+    double = replace(
+        gaussians,
+        log_scales=gaussians.log_scales.double(),
+        logit_opacities=gaussians.logit_opacities.double(),
+    )
+    _, sizes, opacities = to_linear(double)
+    wide = torch.hypot(sizes, deviation.double()[:, None])
+    share = torch.where(wide > 0, sizes / wide, 1.0).prod(dim=1)
+    smoothed = from_linear(double.means, double.quats, wide, opacities * share, double.sh)
+    return replace(
+        gaussians,
+        log_scales=smoothed.log_scales.float(),
+        logit_opacities=smoothed.logit_opacities.float(),
+    )
+
+
 @dataclass(frozen=True)
 class _Header:
-    """`start`: first byte of the vertices; `dtype`: of one vertex; `ascii`: numbers as text."""
+    """Where the vertices are, and of what.
+
+    Attributes:
+        start: first byte of the elements' data.
+        before: fields of the elements before the vertices, with the count of each.
+        count: number of vertices.
+        dtype: fields of one vertex.
+        ascii: whether numbers are text.
+    """
 
     start: int
+    before: tuple[tuple[int, np.dtype], ...]
     count: int
     dtype: np.dtype
     ascii: bool
@@ -159,46 +247,69 @@ class _Header:
 def _parse_header(path: Path, data: bytes) -> _Header:
     if not data.startswith((b"ply\n", b"ply\r\n")):
         raise InputError(path, "header", "does not begin with 'ply'", "give a PLY file")
-    end = data.find(b"end_header")
-    start = data.find(b"\n", end) + 1
-    if end < 0 or start == 0:
+    end = _END.search(data)
+    if end is None:
         raise InputError(
             path, "header", "has no end_header", "the file is truncated: copy it again"
         )
-    order, fields, count, elements = "", [], -1, []
+    order, elements = "", []
     try:
-        for line in data[:end].decode("ascii").splitlines()[1:]:
+        for line in _lines(data[: end.start()])[1:]:
             match line.split():
                 case ["format", name, _]:
                     order = _ORDERS[name]
                 case ["element", name, size]:
-                    elements.append(name)
-                    if name == "vertex":
-                        count = int(size)
-                case ["property", kind, name] if elements[-1] == "vertex":
-                    fields.append((name, order + _TYPES[kind]))
-                case ["property", "list", *_] if elements[-1] == "vertex":
-                    raise InputError(path, line.strip(), "is a list", _EXPORT_AGAIN)
+                    elements.append((name, int(size), []))
+                case ["property", "list", *_] if not _after_vertex(elements):
+                    problem = "is a list" if elements[-1][0] == "vertex" else "comes before vertex"
+                    raise InputError(path, line.strip(), problem, _EXPORT_AGAIN)
+                case ["property", kind, name] if not _after_vertex(elements):
+                    elements[-1][2].append((name, order + _TYPES[kind]))
                 case [] | ["comment" | "obj_info", *_] | ["property", *_]:
                     pass
                 case _:
                     raise KeyError(line)
-        dtype = np.dtype(fields)
-    except (KeyError, ValueError, IndexError, UnicodeDecodeError) as error:
+        sizes = [(name, size, np.dtype(fields)) for name, size, fields in elements]
+    except (KeyError, ValueError, IndexError) as error:
         if isinstance(error, InputError):
             raise
         raise InputError(path, "header", f"cannot be understood ({error})", _EXPORT_AGAIN) from None
-    if count < 0 or not order:
+    names = [name for name, _, _ in sizes]
+    if "vertex" not in names or not order or min(size for _, size, _ in sizes) < 0:
         raise InputError(path, "header", "has no format or no element vertex", _EXPORT_AGAIN)
-    if elements[0] != "vertex":
-        raise InputError(path, f"element {elements[0]}", "comes before vertex", _EXPORT_AGAIN)
-    return _Header(start, count, dtype, order == _ORDERS["ascii"])
+    at = names.index("vertex")
+    _, count, dtype = sizes[at]
+    if _COMPRESSED in (dtype.names or ()):
+        problem = f"is a compressed PLY of SuperSplat ({_COMPRESSED}), which is not read"
+        raise InputError(path, "format", problem, "export it as an uncompressed PLY")
+    before = tuple((size, dtype) for _, size, dtype in sizes[:at])
+    return _Header(end.end(), before, count, dtype, order == _ORDERS["ascii"])
+
+
+def _lines(header: bytes) -> list[str]:
+    """Lines of a header; comments may be in any encoding."""
+    return [line.decode("ascii", "replace").strip() for line in header.split(b"\n")]
+
+
+def _after_vertex(elements: list[tuple[str, int, list[tuple[str, str]]]]) -> bool:
+    """Whether the element that a property belongs to comes after the vertices: not read.
+
+    Raises:
+        IndexError: there is no element.
+    """
+    return elements[-1][0] != "vertex" and any(name == "vertex" for name, _, _ in elements)
 
 
 def _read_vertices(path: Path, data: bytes, header: _Header) -> NDArray[np.void]:
     names = header.dtype.names or ()
-    # A number takes at least two bytes as text, a digit and a separator.
-    size = header.count * (2 * len(names) - 1 if header.ascii else header.dtype.itemsize)
+
+    def length(count: int, dtype: np.dtype) -> int:
+        # A number takes at least two bytes as text, a digit and a separator.
+        fields = dtype.names or ()
+        return count * (max(2 * len(fields) - 1, 0) if header.ascii else dtype.itemsize)
+
+    skipped = sum(length(count, dtype) for count, dtype in header.before)
+    size = skipped + length(header.count, header.dtype)
     if len(data) - header.start < size:
         raise InputError(
             path,
@@ -207,23 +318,31 @@ def _read_vertices(path: Path, data: bytes, header: _Header) -> NDArray[np.void]
             "the file is truncated: copy it again",
         )
     if not header.ascii:
-        return np.frombuffer(data, header.dtype, header.count, header.start)
-    wanted = header.count * len(names)
+        return np.frombuffer(data, header.dtype, header.count, header.start + skipped)
+    first = sum(count * len(dtype.names or ()) for count, dtype in header.before)
+    last = first + header.count * len(names)
     try:
-        numbers = np.array(data[header.start :].split(maxsplit=wanted)[:wanted], np.float64)
-        table = numbers.reshape(header.count, len(names))
+        words = data[header.start :].split(maxsplit=last)[first:last]
+        table = np.array(words, np.float64).reshape(header.count, len(names))
     except ValueError as error:
         raise InputError(path, "vertex data", f"cannot be read ({error})", _EXPORT_AGAIN) from None
+    # As the header has them: its whole numbers stand for shares of their type's largest.
     vertices = np.empty(header.count, [(name, np.float64) for name in names])
     for i, name in enumerate(names):
-        vertices[name] = table[:, i]
+        kind = header.dtype[name]
+        scale = np.iinfo(kind).max if name in _COLOURS and kind.kind == "u" else 1
+        vertices[name] = table[:, i] / scale
     return vertices
 
 
-def _column(path: Path, vertices: NDArray[np.void], name: str) -> NDArray[np.float32]:
+def _column(path: Path, vertices: NDArray[np.void], name: str, kind: str) -> NDArray[Any]:
+    values = vertices[name]
+    if name in _COLOURS and values.dtype.kind == "u":
+        values = values / np.iinfo(values.dtype).max
     with np.errstate(over="ignore"):  # becomes infinite, which is refused
-        column = vertices[name].astype(np.float32)
-    bad = np.flatnonzero(~np.isfinite(column))
+        column = values.astype(kind)
+    allowed = {"opacity": np.inf, "scale": -np.inf}.get(name.partition("_")[0], 0.0)
+    bad = np.flatnonzero(~np.isfinite(column) & (values != allowed))
     if len(bad):
         raise InputError(
             path,

@@ -152,6 +152,31 @@ def test_a_ply_in_another_frame_and_unit_is_placed(
     assert np.abs(images(back, {}) - images(replace(scene, actors={}), {})).max() < 2e-3
 
 
+@pytest.mark.parametrize("offset", [(458123.25, 5428765.5, 112.0), (0.0, -5428765.3, 0.1)])
+def test_doubles_far_away_are_placed_before_they_are_rounded(
+    log: DrivingLog, scene: StreetScene, tmp_path: Path, offset: tuple[float, float, float]
+) -> None:
+    """Rounded to float32 first, UTM coordinates lose a quarter of a metre."""
+    columns = {name: scene.background.means[:, i].numpy() for i, name in enumerate("xyz")}
+    rest = [f"f_dc_{i}" for i in range(3)] + ["opacity", *(f"scale_{i}" for i in range(3))]
+    rest += [f"rot_{i}" for i in range(4)]
+    kinds = [(name, "<f8") for name in "xyz"] + [(name, "<f4") for name in rest]
+    table = np.zeros(len(scene.background), kinds)
+    for (name, column), shift in zip(columns.items(), offset, strict=True):
+        table[name] = column.astype(np.float64) + shift
+    table["rot_0"] = 1
+    named = "".join(f"property double {name}\n" for name in "xyz")
+    named += "".join(f"property float {name}\n" for name in rest)
+    header = (
+        f"ply\nformat binary_little_endian 1.0\nelement vertex {len(table)}\n{named}end_header\n"
+    )
+    (tmp_path / "a.ply").write_bytes(header.encode() + table.tobytes())
+    (tmp_path / "offset.txt").write_text(" ".join(str(-value) for value in offset))
+    import_gaussians(tmp_path / "a.ply", log, tmp_path / "scene", tmp_path / "offset.txt")
+    placed = load_scene(tmp_path / "scene").background.means
+    np.testing.assert_allclose(placed, scene.background.means, atol=1e-5)
+
+
 @pytest.mark.parametrize(
     ("text", "line"),
     [

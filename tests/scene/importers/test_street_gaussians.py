@@ -142,6 +142,20 @@ def test_without_the_folder_actors_follow_the_log(log: DrivingLog, tmp_path: Pat
     assert "obj_003" in next(line for line in record.changed if "frozen" in line)
 
 
+def test_centres_of_float64_are_placed_before_they_are_rounded(
+    log: DrivingLog, tmp_path: Path
+) -> None:
+    """A checkpoint of a world in survey coordinates."""
+    offset = torch.tensor([458123.25, 5428765.5, 112.0], dtype=torch.float64)
+    content = checkpoint(obj_003=None, actor_pose=None)
+    means = made.make_background(1).means
+    content["background"]["xyz"] = means.double() + offset
+    (tmp_path / "offset.txt").write_text(" ".join(str(-value) for value in offset.tolist()))
+    path = save(tmp_path / "a.pth", content)
+    import_street_gaussians(path, log, tmp_path / "out", world_from_scene=tmp_path / "offset.txt")
+    np.testing.assert_allclose(load_scene(tmp_path / "out").background.means, means, atol=1e-5)
+
+
 def test_what_cannot_be_carried_over_is_named(
     log: DrivingLog, processed: Path, tmp_path: Path
 ) -> None:

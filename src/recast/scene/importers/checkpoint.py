@@ -84,12 +84,15 @@ class Table:
             raise self.fault(name, "is no number of steps")
         return value if name in self else None
 
-    def tensor(self, name: str, *shape: int | None) -> Tensor:
-        """A tensor as float32 without gradient; None in `shape` stands for any size.
+    def tensor(self, name: str, *shape: int | None, dtype: torch.dtype = torch.float32) -> Tensor:
+        """A tensor without gradient; None in `shape` stands for any size.
+
+        Args:
+            dtype: type of the numbers: float64 for places that are still to be moved.
 
         Raises:
             InputError: it is missing, no dense tensor, of another shape, or holds a value that is
-                not finite in float32.
+                not finite in that type.
         """
         value = self._member(name)
         if (
@@ -106,7 +109,7 @@ class Table:
         ):
             expected = ", ".join("any" if size is None else str(size) for size in shape)
             raise self.fault(name, f"has shape {list(found)}, expected [{expected}]")
-        plain = value.detach().to(torch.float32).contiguous()
+        plain = value.detach().to(dtype).contiguous()
         bad = ~torch.isfinite(plain)
         if bool(bad.any()):
             index = bad.nonzero()[0].tolist()
@@ -197,7 +200,7 @@ class Names:
 
 
 def read_gaussians(table: Table, names: Names, constant: Tensor) -> Gaussians:
-    """The Gaussians of a table.
+    """The Gaussians of a table; their centres are float64, to be placed before they are rounded.
 
     Args:
         constant: (N, 3) constant harmonics, which layouts store in different ways.
@@ -213,7 +216,7 @@ def read_gaussians(table: Table, names: Names, constant: Tensor) -> Gaussians:
             names.rest, f"has {rest.shape[1]} harmonics, expected one of {list(REST_COUNTS)}"
         )
     found = Gaussians(
-        means=table.tensor(names.means, n, 3),
+        means=table.tensor(names.means, n, 3, dtype=torch.float64),
         quats=table.tensor(names.quats, n, 4),
         log_scales=table.tensor(names.log_scales, n, 3),
         logit_opacities=table.tensor(names.logit_opacities, n, 1)[:, 0],

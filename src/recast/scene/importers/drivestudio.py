@@ -242,7 +242,7 @@ def read_instances(
             actor, or the log has fewer frames.
     """
     gaussians = read_gaussians(table, NAMES, read_constant(table))
-    translations = table.tensor("instances_trans", None, None, 3)
+    translations = table.tensor("instances_trans", None, None, 3, dtype=torch.float64)
     frames, count = translations.shape[:2]
     quats = table.tensor("instances_quats", frames, count, 4).double().numpy()
     present = table.tensor("instances_fv", frames, count).numpy() > 0.5

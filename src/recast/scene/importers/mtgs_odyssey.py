@@ -36,7 +36,7 @@ def ground_members(config: Table, state: Table, table: Table, names: Names) -> d
     Raises:
         InputError: a member is missing, of another shape, not finite, or out of range.
     """
-    means = table.tensor(names.means, None, 3)
+    means = table.tensor(names.means, None, 3, dtype=torch.float64)
     count = len(means)
     least, most = (config.number(f"{which}_planar_extent") for which in ("min", "max"))
     thickness = config.number("thickness")
@@ -72,7 +72,7 @@ def lost(means: Tensor) -> bool:
 
 def _found_again(means: Tensor, config: Table) -> Tensor:
     shift = read_shift(config)
-    found = (means.double() + torch.from_numpy(shift)).float()
+    found = means + torch.from_numpy(shift)
     if lost(found):
         raise config.fault("recon2world_translation", "does not bring the ground near the scene")
     return found

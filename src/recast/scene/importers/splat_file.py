@@ -43,7 +43,7 @@ def import_gaussians(
     """
     path = Path(path)
     require_new(out)
-    background = read_gaussians(path)
+    background = read_gaussians(path, double=True)
     if len(background) == 0:
         raise InputError(path, "Gaussians", "there are none", "export it again")
     placement = Placement(np.eye(4), "taken for the log's world")

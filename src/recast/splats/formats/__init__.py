@@ -32,14 +32,15 @@ class SplatFormat:
 
     Attributes:
         suffix: end of a file's name, in lower case.
-        write, read, low_pass: its functions, in the axes of the format.
+        write, read, low_pass: its functions, in the axes of the format. `read` takes the path and
+            `double`, see `read_gaussians`.
         axes: directions of x (forward), y (left) and z (up) in the format's axes, (3, 3) row by
             row; None if they are the same.
     """
 
     suffix: str
     write: Write
-    read: Callable[[str | Path], Gaussians]
+    read: Callable[..., Gaussians]
     low_pass: Callable[[str | Path], LowPass | None]
     axes: NDArray[np.float64] | None = None
 
@@ -89,14 +90,18 @@ def write_gaussians(
     one.write(path, _turned(gaussians, one.axes), low_pass)
 
 
-def read_gaussians(path: str | Path) -> Gaussians:
+def read_gaussians(path: str | Path, double: bool = False) -> Gaussians:
     """Read Gaussians of any format, turned from its axes: x forward, y left, z up.
+
+    Args:
+        double: whether centres are float64, as exact as the file has them. Coordinates far from the
+            origin, such as UTM, must be moved before they are rounded to float32.
 
     Raises:
         InputError: the name tells no format, or the file is missing or broken.
     """
     one = format_of(path)
-    return _turned(one.read(path), None if one.axes is None else one.axes.T)
+    return _turned(one.read(path, double), None if one.axes is None else one.axes.T)
 
 
 def _turned(gaussians: Gaussians, axes: NDArray[np.float64] | None) -> Gaussians:

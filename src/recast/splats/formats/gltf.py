@@ -19,8 +19,8 @@ from recast.core.errors import InputError
 from recast.core.gltf.file import LONGEST_GLB, GlbFile, write_glb
 from recast.core.gltf.tree import POINTS, Part, Primitive, placed_primitives
 from recast.geometry import se3
-from recast.splats.formats.linear import from_linear, to_linear
 from recast.splats.gaussians import Gaussians, concatenate
+from recast.splats.linear import from_linear, to_linear
 from recast.splats.low_pass import LowPass, parse_low_pass
 from recast.splats.sh import C0, MAX_DEGREE
 
@@ -127,8 +127,11 @@ def has_gaussians(path: str | Path) -> bool:
     return any(EXTENSION in one.extensions for one, _, _ in placed_primitives(_opened(path)))
 
 
-def read_gltf(path: str | Path) -> Gaussians:
+def read_gltf(path: str | Path, double: bool = False) -> Gaussians:
     """All Gaussians that a GLB draws, in its axes; nodes may move, turn and scale them.
+
+    Args:
+        double: whether centres are float64.
 
     Raises:
         InputError: no whole GLB, no Gaussians or of a kernel or colour space that is not read, a
@@ -142,7 +145,7 @@ def read_gltf(path: str | Path) -> Gaussians:
     found = [_primitive(file, *one, n) for one, n in zip(drawn, counts, strict=True)]
     if not found:
         raise file.fault(EXTENSION, "is not in the file: it draws no Gaussians")
-    gaussians = concatenate(found)
+    gaussians = concatenate(found).with_centres(double)
     fault = gaussians.fault()
     if fault is not None:
         raise InputError(path, fault[0], fault[1], _MEND)
@@ -191,7 +194,7 @@ def _primitive(file: GlbFile, one: Primitive, pose: Array, field: str, n: int) -
         return torch.from_numpy(file.rows(one.attributes[name], f"{field}.{name}", (width,), n))
 
     gaussians = from_linear(
-        rows("POSITION", 3),
+        rows("POSITION", 3).double(),
         rows(f"{EXTENSION}:ROTATION", 4).roll(1, 1),
         rows(f"{EXTENSION}:SCALE", 3),
         rows(f"{EXTENSION}:OPACITY", 1)[:, 0],

@@ -79,8 +79,11 @@ def write_spz(
     write_bytes(path, b"".join([header, _CONTAINER.pack(start), *table, *squeezed]))
 
 
-def read_spz(path: str | Path) -> Gaussians:
+def read_spz(path: str | Path, double: bool = False) -> Gaussians:
     """Read Gaussians, in the axes of the format.
+
+    Args:
+        double: whether centres are float64.
 
     Raises:
         InputError: the file is missing, no SPZ, truncated, too large, of another version or degree,
@@ -89,7 +92,7 @@ def read_spz(path: str | Path) -> Gaussians:
     path = Path(path)
     header, streams = _opened(path)
     rows = [s.reshape(header.count, w) for s, w in zip(streams, header.widths, strict=True)]
-    gaussians = unpacked(rows, header.bits)
+    gaussians = unpacked(rows, header.bits).with_centres(double)
     fault = gaussians.fault()
     if fault is not None:
         raise InputError(path, fault[0], fault[1], _MEND)

@@ -22,8 +22,8 @@ from recast.arrays import Array
 from recast.core.errors import InputError
 from recast.core.files import read_bytes, write_bytes
 from recast.geometry import se3
-from recast.splats.formats.linear import from_linear, to_linear
 from recast.splats.gaussians import Gaussians, concatenate
+from recast.splats.linear import from_linear, to_linear
 from recast.splats.low_pass import LowPass, parse_low_pass
 from recast.splats.sh import MAX_DEGREE
 
@@ -124,11 +124,14 @@ def _text(values: Tensor) -> bytes:
     return b"[" + b", ".join(part for part in parts if part) + b"]"
 
 
-def read_usd(path: str | Path) -> Gaussians:
+def read_usd(path: str | Path, double: bool = False) -> Gaussians:
     """All Gaussians of a text layer, z up, metres.
 
     Only what stands in the prims themselves is read: a layer that names others, moves prims or
     changes over time is refused.
+
+    Args:
+        double: whether centres are float64.
 
     Raises:
         InputError: the file is missing, no .usda, too large, composed of others, has no such prim
@@ -158,6 +161,7 @@ def read_usd(path: str | Path) -> Gaussians:
     if scale != 1 or turn is _Z_FROM_Y:
         pose = torch.from_numpy(se3.from_rotation_translation(turn, np.zeros(3)))
         gaussians = gaussians.transformed(pose, scale)
+    gaussians = gaussians.with_centres(double)
     fault = gaussians.fault()
     if fault is not None:
         raise InputError(path, fault[0], fault[1], _MEND)
@@ -202,7 +206,8 @@ def _prim(path: Path, body: bytes, arrays: list[bytes]) -> Gaussians:
     for name, count in rows.items():
         if len(found[name]) != count:
             raise InputError(path, name, f"has {len(found[name])} rows, not {count}", _MEND)
-    means, quats, scales, opacities, sh = (torch.from_numpy(v).float() for v in found.values())
+    means = torch.from_numpy(found.pop("positions"))
+    quats, scales, opacities, sh = (torch.from_numpy(v).float() for v in found.values())
     return from_linear(means, quats, scales, opacities[:, 0], sh.reshape(n, -1, 3))
 
 
