@@ -270,7 +270,7 @@ def test_folders_without_results_are_refused(vehicles: Path, tmp_path: Path) -> 
         (f"files:{tmp_path / 'none'}", "none: results: are no folder"),
         (
             f"files:{tmp_path / 'empty'}",
-            r"hold no ID\.ply, \.glb, \.obj, \.spz or \.usda of any vehicle, such as car",
+            r"hold no ID\.ply, \.glb, \.gltf, \.obj, \.spz or \.usda of any vehicle, such as car",
         ),
         (f"views:{tmp_path / 'empty'}", "hold no ID/VIEW.png of any vehicle"),
     ):

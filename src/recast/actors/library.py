@@ -113,7 +113,7 @@ def _of_gaussians(path: Path) -> tuple[Array, Array]:
 def _of_mesh(path: Path) -> tuple[Array, Array]:
     """Points (N, 3) and linear colours (N, 3) of a coarse lattice."""
     _, samples, _ = sampled(read_triangles(path), _LENGTH, _SPACING)
-    return samples.points, samples.albedo
+    return samples.points, samples.albedo + samples.emission
 
 
 def seen_paint(observation: Observation) -> Array:

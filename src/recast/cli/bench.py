@@ -35,7 +35,7 @@ class _Grid:
     arm: Annotated[
         shared.Names,
         shared.option(
-            f"{shared.ARM_HELP} Also assets:DIR: vehicles in DIR/SCENE.ply, .glb, .obj, .spz or "
+            f"{shared.ARM_HELP} Also assets:DIR: vehicles in DIR/SCENE.ply, .glb, .gltf, .obj, .spz or "
             ".usda.",
             shared.ARM_DEFAULT,
         ),

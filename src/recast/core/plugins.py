@@ -282,7 +282,7 @@ GENERATORS = Registry(
     members=("name", "generate"),
     protocol="recast.actors.ActorGenerator",
     folder="recast.actors.generate:model_generator",
-    files=dict.fromkeys((".ply", ".glb", ".obj", ".spz", ".usda"), _VEHICLE_FILE),
+    files=dict.fromkeys((".ply", ".glb", ".gltf", ".obj", ".spz", ".usda"), _VEHICLE_FILE),
     prefixes={"library:": "recast.actors.library:LibraryGenerator"},
 )
 """Each is a class or function that makes a `recast.actors.ActorGenerator`."""

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from PIL import Image
 
-TYPES = {"float32": 5126, "uint16": 5123, "uint32": 5125, "uint8": 5121}
+TYPES = {"float32": 5126, "uint16": 5123, "int16": 5122, "uint32": 5125, "uint8": 5121}
 KINDS = {1: "SCALAR", 2: "VEC2", 3: "VEC3", 4: "VEC4"}
 SQUARE = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]], np.float32)
 """Corners of a square of edge one in the xy plane."""
@@ -68,6 +68,17 @@ class Glb:
             found["indices"] = self.array(faces.ravel())
         self.tree["meshes"][mesh]["primitives"].append(found)
         return found
+
+    def sparse(self, count: int, rows: np.ndarray, values: np.ndarray, **more: Any) -> int:
+        """Add `count` rows of which only some are given; the index of their accessor."""
+        places = {
+            "indices": {"bufferView": self.view(rows.tobytes()), "componentType": 5121},
+            "values": {"bufferView": self.view(values.tobytes())},
+        }
+        numbers = {"count": count, "componentType": 5126, "type": KINDS[values.shape[1]]}
+        sparse = {"count": len(rows), **places}
+        self.tree["accessors"].append({**numbers, "sparse": sparse, **more})
+        return len(self.tree["accessors"]) - 1
 
     def bytes(self) -> bytes:
         """The file."""

@@ -14,9 +14,10 @@ from actors.mesh.made import CAR, HALVES, SQUARE, Glb, box, car
 from recast.actors import MeshGenerator, Observation, register
 from recast.actors.mesh.generator import surfels
 from recast.actors.mesh.sample import Outside, outside, sample
-from recast.actors.mesh.triangles import Material, Triangles
+from recast.actors.mesh.triangles import Glow, Material, Triangles
 from recast.actors.template.lighting import CLEAR_DAY
 from recast.core.errors import InputError
+from recast.geometry.colour import linear_to_gamma
 from recast.logs import DrivingLog
 from recast.splats import MIP, Gaussians, rasterize
 from recast.splats.sh import C0
@@ -140,6 +141,19 @@ def test_the_top_is_lighter_than_the_flank() -> None:
     up = made.means[:, 2] > 0.995
     flank = (made.means[:, 1].abs() > 0.995) & (made.means[:, 2] < 0.5)
     assert colours(made)[up].mean() > colours(made)[flank].mean() + 0.05
+
+
+def test_unlit_surfaces_keep_their_colour_and_emission_is_added() -> None:
+    """Display values: an unlit box is of one colour; emission shows where nothing is reflected."""
+    unlit = Material(np.array([0.5, 0.2, 0.1, 1.0]), lit=False)
+    box_ = of_box([-2, -1, 0], [2, 1, 1], (0.0, 0.0, 0.0, 1.0))
+    made = surfels(outside(sample([replace(box_, material=unlit)], 0.05)[0]), CLEAR_DAY)
+    shown = linear_to_gamma(np.array([0.5, 0.2, 0.1]))
+    np.testing.assert_allclose(colours(made), np.tile(shown, (len(made), 1)), atol=1e-3)
+    assert made.sh[:, 1:].abs().max() < 1e-3
+    glowing = replace(box_, glow=Glow(np.array([0.5, 0.2, 0.1])))
+    made = surfels(outside(sample([glowing], 0.05)[0]), CLEAR_DAY)
+    np.testing.assert_allclose(colours(made), np.tile(shown, (len(made), 1)), atol=1e-3)
 
 
 @pytest.mark.parametrize("scale", [1.0, 0.01, 39.37])

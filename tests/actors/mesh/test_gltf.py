@@ -101,6 +101,118 @@ def test_the_texture_turns_as_in_the_example_of_the_extension(tmp_path: Path) ->
     np.testing.assert_allclose(part.uv.reshape(-1, 2)[upper_left], [0.0, 1.0], atol=1e-6)
 
 
+@pytest.mark.parametrize("required", [False, True])
+def test_instances_are_drawn_where_they_stand(tmp_path: Path, required: bool) -> None:
+    """Of the node's frame; quaternions may be normalised whole numbers."""
+    glb = square()
+    half = round(32767 * 0.5**0.5)
+    turns = np.array([[0, 0, 0, 32767], [0, 0, half, half]], np.int16)
+    attributes = {
+        "TRANSLATION": glb.array(np.array([[0, 0, 0], [5, 0, 0]], np.float32)),
+        "ROTATION": glb.array(turns, normalized=True),
+        "SCALE": glb.array(np.array([[1, 1, 1], [2, 2, 2]], np.float32)),
+    }
+    name = "EXT_mesh_gpu_instancing"
+    glb.tree["nodes"] = [
+        {"mesh": 0, "translation": [0, 0, 3], "extensions": {name: {"attributes": attributes}}}
+    ]
+    glb.tree["extensionsRequired" if required else "extensionsUsed"] = [name]
+    first, second = read_glb(glb.write(tmp_path / "a.glb"))
+    np.testing.assert_allclose(first.corners, (SQUARE + np.array([0, 0, 3]))[HALVES], atol=1e-6)
+    turned = np.stack([5 - 2 * SQUARE[:, 1], 2 * SQUARE[:, 0], np.full(4, 3)], axis=1)
+    np.testing.assert_allclose(second.corners, turned[HALVES], atol=1e-3)
+
+
+def test_hidden_nodes_and_all_below_are_not_drawn(tmp_path: Path) -> None:
+    glb = square()
+    hidden = {"KHR_node_visibility": {"visible": False}}
+    glb.tree["nodes"] = [
+        {"children": [1, 3]},
+        {"children": [2], "extensions": hidden},
+        {"mesh": 0},
+        {"mesh": 0, "extensions": {"KHR_node_visibility": {"visible": True}}},
+    ]
+    assert len(read_glb(glb.write(tmp_path / "a.glb"))) == 1
+
+
+@pytest.mark.parametrize(("node", "height"), [({}, 1.0), ({"weights": [1.0, 0.5]}, 2.0)])
+def test_morph_targets_have_their_default_weights(
+    tmp_path: Path, node: dict, height: float
+) -> None:
+    """Those of the node before those of the mesh; targets are sparse, or have no data at all."""
+    glb = square()
+    raised = glb.sparse(4, np.array([2], np.uint8), np.array([[0, 0, 2]], np.float32))
+    glb.tree["accessors"].append({"count": 4, "componentType": 5126, "type": "VEC3"})
+    targets = [{"POSITION": raised}, {"POSITION": len(glb.tree["accessors"]) - 1}]
+    glb.tree["meshes"][0]["primitives"][0]["targets"] = targets
+    glb.tree["meshes"][0]["weights"] = [0.5, 1.0]
+    glb.tree["nodes"][0] |= node
+    (part,) = read_glb(glb.write(tmp_path / "a.glb"))
+    moved = SQUARE.copy()
+    moved[2, 2] = height
+    np.testing.assert_allclose(part.corners, moved[HALVES])
+
+
+def test_sparse_rows_replace_those_of_the_view(tmp_path: Path) -> None:
+    glb = square()
+    index = glb.sparse(4, np.array([1], np.uint8), np.array([[7, 0, 0]], np.float32), bufferView=0)
+    glb.tree["meshes"][0]["primitives"][0]["attributes"]["POSITION"] = index
+    (part,) = read_glb(glb.write(tmp_path / "a.glb"))
+    assert part.corners[0, 1].tolist() == [7, 0, 0]
+    np.testing.assert_array_equal(part.corners[1], SQUARE[HALVES[1]])
+
+
+def test_samplers_say_how_a_texture_goes_on(tmp_path: Path) -> None:
+    glb = textured_square(RED)
+    glb.tree["samplers"] = [{}, {"wrapS": 33648, "wrapT": 33071}]
+    for sampler, wrap in ((0, ("REPEAT", "REPEAT")), (1, ("MIRROR", "CLAMP"))):
+        glb.tree["textures"][0]["sampler"] = sampler
+        (part,) = read_glb(glb.write(tmp_path / "a.glb"))
+        assert part.material.wrap == wrap
+
+
+def test_emission_and_unlit_materials(tmp_path: Path) -> None:
+    glb = textured_square(RED)
+    one = glb.tree["meshes"][0]["primitives"][0]
+    one["attributes"]["TEXCOORD_1"] = glb.array(SQUARE_UV * 3)
+    glb.tree["materials"] = [
+        {
+            "pbrMetallicRoughness": {"baseColorFactor": [0, 0, 0, 1]},
+            "emissiveFactor": [0.1, 0.2, 0.3],
+            "emissiveTexture": {"index": 0, "texCoord": 1},
+            "extensions": {"KHR_materials_emissive_strength": {"emissiveStrength": 2.0}},
+        }
+    ]
+    (part,) = read_glb(glb.write(tmp_path / "a.glb"))
+    assert part.glow is not None and part.glow.texture is not None
+    np.testing.assert_allclose(part.glow.factor, [0.2, 0.4, 0.6])
+    np.testing.assert_allclose(part.glow.uv, (SQUARE_UV * 3)[HALVES])
+    assert part.uv is None and part.material.lit
+    glb.tree["materials"][0]["extensions"] = {"KHR_materials_unlit": {}}
+    (part,) = read_glb(glb.write(tmp_path / "a.glb"))
+    assert part.glow is None and not part.material.lit
+
+
+def test_a_gltf_with_its_buffer_beside_it(tmp_path: Path) -> None:
+    glb = textured_square(RED)
+    glb.tree["buffers"] = [{"uri": "a.bin", "byteLength": len(glb.binary)}]
+    (tmp_path / "a.bin").write_bytes(glb.binary)
+    path = tmp_path / "a.gltf"
+    path.write_text(json.dumps(glb.tree))
+    (part,) = read_glb(path)
+    np.testing.assert_array_equal(part.corners, SQUARE[HALVES])
+    assert files_of_glb(path) == [tmp_path / "a.bin"]
+
+
+def test_whole_numbers_of_colours_are_shares(tmp_path: Path) -> None:
+    """Even if the exporter forgot to say so."""
+    glb = square()
+    index = glb.array(np.array([[255, 0, 51, 255]] * 4, np.uint8))
+    glb.tree["meshes"][0]["primitives"][0]["attributes"]["COLOR_0"] = index
+    (part,) = read_glb(glb.write(tmp_path / "a.glb"))
+    np.testing.assert_allclose(part.colours, np.broadcast_to([1, 0, 0.2, 1], (2, 3, 4)))
+
+
 def test_vertex_colours_become_linear_shares(tmp_path: Path) -> None:
     glb = square()
     colours = np.array([[255, 0, 51]] * 4, np.uint8)
@@ -226,6 +338,39 @@ def _bomb(glb: Glb) -> None:
     glb.tree["images"][0]["bufferView"] = glb.view(bytes(data))
 
 
+def _sparse(count: int, view: int | None) -> Callable[[Glb], None]:
+    def change(glb: Glb) -> None:
+        one = {
+            "indices": {"bufferView": 2, "byteOffset": 4, "componentType": 5121},
+            "values": {"bufferView": 0},
+        }
+        glb.tree["bufferViews"][0]["byteLength"] = 40 if view == 0 else 48
+        glb.tree["accessors"][0] |= {"bufferView": view, "count": count, "sparse": one}
+        glb.tree["accessors"][0]["sparse"]["count"] = 4
+
+    return change
+
+
+def _compressed(glb: Glb) -> None:
+    """Draco that is used, not required."""
+    glb.tree["accessors"][0]["bufferView"] = None
+    one = glb.tree["meshes"][0]["primitives"][0]
+    one["extensions"] = {"KHR_draco_mesh_compression": {"bufferView": 0}}
+
+
+def _compressed_buffer(glb: Glb) -> None:
+    glb.tree["buffers"][0]["extensions"] = {"EXT_meshopt_compression": {"fallback": True}}
+
+
+def _instanced(**attributes: int) -> Callable[[Glb], None]:
+    return _set("nodes.0.extensions", {"EXT_mesh_gpu_instancing": {"attributes": attributes}})
+
+
+def _morphs(count: int) -> dict:
+    one = {"attributes": {"POSITION": 0}, "targets": [{"POSITION": 0}] * count}
+    return {"primitives": [one], "weights": [1.0] * count}
+
+
 WRONG: list[tuple[str, Callable[[Glb], None]]] = [
     ("accessors.0", _set("accessors.0.count", 10**9)),
     ("triangles", _set("accessors.1.count", 3 * 10**9)),
@@ -234,7 +379,18 @@ WRONG: list[tuple[str, Callable[[Glb], None]]] = [
     ("accessors.0.count", _set("accessors.0.count", -1)),
     ("accessors.0.componentType", _set("accessors.0.componentType", 7)),
     ("accessors.0", _set("accessors.0.bufferView", None)),
-    ("accessors.0", _set("accessors.0.sparse", {"count": 1})),
+    ("accessors.0.sparse", _set("accessors.0.sparse", {"count": 1})),
+    ("accessors.0.sparse", _sparse(count=3, view=0)),
+    ("accessors.0.sparse", _sparse(count=10**9, view=None)),
+    ("replaces row 128 of 4", _sparse(count=4, view=None)),
+    ("KHR_draco", _compressed),
+    ("EXT_meshopt", _compressed_buffer),
+    ("wrapS", _set("samplers", [{"wrapS": 7}])),
+    ("sampler", _set("textures.0.sampler", 3)),
+    ("instancing", _instanced(TRANSLATION=99)),
+    ("instancing.ROTATION: is of type VEC3", _instanced(TRANSLATION=0, ROTATION=0)),
+    ("has none of TRANSLATION", _instanced(_ID=0)),
+    ("targets", _set("meshes.0", _morphs(1000))),
     ("POSITION", _set("accessors.0.type", "VEC2")),
     ("rows", _set("accessors.0.count", 3)),
     ("bufferViews.0", _set("bufferViews.0.byteLength", 10**9)),
@@ -256,7 +412,10 @@ WRONG: list[tuple[str, Callable[[Glb], None]]] = [
     ("vertices", _nan),
     ("TEXCOORD_3", _set("materials.0.pbrMetallicRoughness.baseColorTexture.texCoord", 3)),
     ("texture", _set("materials.0.pbrMetallicRoughness.baseColorTexture.index", 7)),
-    ("textures.0", _set("textures.0", {"extensions": {"KHR_texture_basisu": {"source": 0}}})),
+    (
+        "KHR_texture_basisu",
+        _set("textures.0", {"extensions": {"KHR_texture_basisu": {"source": 0}}}),
+    ),
     ("images.0", _set("images.0", {})),
     ("is missing", _set("images.0", {"uri": "paint.png"})),
     ("images.0.uri", _set("images.0", {"uri": "../paint.png"})),

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from actors.mesh.made import HALVES, SQUARE, SQUARE_UV, box
 from recast.actors.mesh import sample as sampling
 from recast.actors.mesh.sample import sample
-from recast.actors.mesh.triangles import Material, Triangles
+from recast.actors.mesh.triangles import Glow, Material, Triangles, Wrap
 from recast.geometry import se3
 
 WHITE = Material(np.ones(4))
@@ -77,6 +77,35 @@ def test_texels_larger_than_the_lattice_are_found_again() -> None:
     np.testing.assert_allclose(found.albedo[at], [1, 0, 0], atol=0.05)
     at = np.argmin(np.hypot(x - 0.25, y - 0.25))
     np.testing.assert_allclose(found.albedo[at], [0, 0, 1], atol=0.05)
+
+
+@pytest.mark.parametrize(
+    ("wrap", "columns"),
+    [("REPEAT", "rgrgrg"), ("MIRROR", "grrggr"), ("CLAMP", "rrrggg")],
+)
+def test_textures_go_on_beyond_their_edges(wrap: Wrap, columns: str) -> None:
+    """Red left of green, at texture coordinates from -1 to 2 along the square's x."""
+    halves = np.zeros((8, 8, 4), np.uint8)
+    halves[:, :4, 0] = halves[:, 4:, 1] = halves[..., 3] = 255
+    part = square(np.eye(3), replace(WHITE, texture=halves, wrap=(wrap, wrap)))
+    assert part.uv is not None
+    found, _ = sample([replace(part, uv=part.uv * 3 - 1)], 0.02)
+    for i, name in enumerate(columns):
+        near = np.abs(found.points[:, 0] - (i + 0.5) / 6) < 0.03
+        expected = [1, 0, 0] if name == "r" else [0, 1, 0]
+        np.testing.assert_allclose(found.albedo[near].mean(axis=0), expected, atol=0.05)
+
+
+def test_what_emits_is_kept_apart_from_what_reflects() -> None:
+    dark = np.full((2, 2, 4), [0, 255, 0, 255], np.uint8)
+    glow = Glow(np.array([0.5, 0.25, 3.0]), dark, SQUARE_UV[HALVES].astype(np.float64))
+    red = Material(np.array([0.6, 0.0, 0.0, 1.0]), gloss=0.7)
+    found, _ = sample([replace(square(np.eye(3), red), glow=glow)], 0.1)
+    np.testing.assert_allclose(found.albedo, np.tile([0.6, 0, 0], (len(found), 1)))
+    np.testing.assert_allclose(found.emission, np.tile([0, 0.25, 0], (len(found), 1)))
+    unlit, _ = sample([square(np.eye(3), replace(red, lit=False))], 0.1)
+    assert not unlit.albedo.any() and not unlit.gloss.any()
+    np.testing.assert_allclose(unlit.emission, np.tile([0.6, 0, 0], (len(unlit), 1)))
 
 
 @pytest.mark.parametrize(

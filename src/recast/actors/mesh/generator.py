@@ -34,12 +34,13 @@ from recast.actors.template.lighting import Daylight, fit_harmonics, road_level
 from recast.arrays import Int64Array
 from recast.core.errors import InputError
 from recast.geometry import se3
-from recast.geometry.colour import linear_to_gamma
+from recast.geometry.colour import gamma_to_linear, linear_to_gamma
 from recast.splats import MIP, Gaussians
 from recast.splats.gaussians import concatenate
 from recast.splats.sh import C0
 
-_READERS = {".glb": (read_glb, files_of_glb), ".obj": (read_obj, files_of_obj)}
+_GLTF = (read_glb, files_of_glb)
+_READERS = {".glb": _GLTF, ".gltf": _GLTF, ".obj": (read_obj, files_of_obj)}
 MESH_SUFFIXES = tuple(_READERS)
 """Ends of the names of files that can be read, in lower case."""
 MOST_GAUSSIANS = 120_000
@@ -82,10 +83,11 @@ def _readers(path: Path) -> tuple:
 
 
 class MeshGenerator:
-    """Takes the triangles of a GLB or OBJ file, in the light that the observation shows.
+    """Takes the triangles of a glTF or OBJ file, in the light that the observation shows.
 
     Base colour (texture, factor and vertex colours) in daylight as bright as the road around the
-    vehicle says; glass stays a layer of its alpha. The surface is sampled on a lattice and merged
+    vehicle says, and what the surface emits; unlit materials keep their colour. Glass stays a layer
+    of its alpha. The surface is sampled on a lattice and merged
     into flat Gaussians, see `sample` and `surfels`.
 
     Args:
@@ -190,7 +192,8 @@ def surfels(vehicle: Outside, light: Daylight) -> Gaussians:
 
 def _groups(samples: Samples) -> Int64Array:
     """(N,) the Gaussian of each sample; what is less alike is merged if there are too many."""
-    look = np.c_[linear_to_gamma(samples.albedo), 0.1 * samples.gloss, samples.alpha]
+    colours = (linear_to_gamma(samples.albedo), linear_to_gamma(samples.emission))
+    look = np.c_[(*colours, 0.1 * samples.gloss, samples.alpha)]
     for tolerance in _TOLERANCES:
         group = group_patches(samples.points, samples.normals, look, _CELLS, tolerance)
         if int(group.max()) < MOST_GAUSSIANS:
@@ -199,12 +202,15 @@ def _groups(samples: Samples) -> Int64Array:
 
 
 def _lit(samples: Samples, group: Int64Array, floor: float, light: Daylight) -> Gaussians:
-    """One opaque Gaussian a group, in daylight."""
-    points, normals, albedo, gloss = group_means(
-        group, samples.points, samples.normals, samples.albedo, samples.gloss
+    """One opaque Gaussian a group, in daylight; what it emits is added to its constant colour."""
+    points, normals, albedo, gloss, emission = group_means(
+        group, samples.points, samples.normals, samples.albedo, samples.gloss, samples.emission
     )
     normals = normals / np.linalg.norm(normals, axis=1, keepdims=True)
     sh = fit_harmonics(albedo, gloss, normals, points[:, 2] - floor, light)
+    bright = emission.any(axis=1)
+    reflected = gamma_to_linear(np.clip(C0 * sh[bright, 0] + 0.5, 0.0, None))
+    sh[bright, 0] = (linear_to_gamma(reflected + emission[bright]) - 0.5) / C0
     return flat_gaussians(group, samples.points, samples.normals, samples.spacing, sh, _OPACITY)
 
 
@@ -216,7 +222,7 @@ def _shells(closed: Samples, floor: float, light: Daylight, windows: bool) -> li
     or they would show in openings and around wheels.
     """
     group = shell_groups(closed.points, closed.normals, _SHELL_CELL)
-    look = linear_to_gamma(closed.albedo)
+    look = linear_to_gamma(closed.albedo + closed.emission)
     centres, normals, mean, square = group_means(
         group, closed.points, closed.normals, look, look**2
     )

@@ -1,4 +1,4 @@
-"""glTF 2.0 in a binary file (GLB): the triangles of a scene with their base colours.
+"""glTF 2.0 (.glb, .gltf): the triangles of a scene with their base colours.
 
 Khronos, glTF 2.0 Specification, sections 3.5 to 3.9 and 4.4. Not through trimesh (5.2): it takes
 memory before sizes can be checked, leaves out pictures that it cannot open without a word, and
@@ -7,6 +7,7 @@ knows neither texture transforms nor transmission, which is how glass is written
 
 from __future__ import annotations
 
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -14,9 +15,12 @@ from numpy.typing import NDArray
 
 from recast.actors.mesh.triangles import (
     MOST_TEXTURES,
+    REPEATED,
     Array,
+    Glow,
     Material,
     Triangles,
+    Wrap,
     checked,
     decoded,
     require_few,
@@ -26,6 +30,7 @@ from recast.core.gltf.tree import (
     FAN,
     STRIP,
     TRIANGLES,
+    EmissiveStrength,
     Glossy,
     Placement,
     Primitive,
@@ -38,6 +43,9 @@ from recast.geometry import se3
 
 _GLOSSY, _TRANSMISSION = "KHR_materials_pbrSpecularGlossiness", "KHR_materials_transmission"
 _PLACEMENT, _WEBP = "KHR_texture_transform", "EXT_texture_webp"
+_UNLIT, _STRENGTH = "KHR_materials_unlit", "KHR_materials_emissive_strength"
+_WRAPS: dict[int, Wrap] = {10497: "REPEAT", 33071: "CLAMP", 33648: "MIRROR"}
+_MOST_TARGETS = 256  # of a primitive that move it: each costs as much as its positions
 _CLEAREST = 0.08  # alpha of glass that transmits everything: what its two faces reflect
 
 
@@ -85,10 +93,23 @@ def _corner_count(file: GlbFile, primitive: Primitive, field: str) -> int:
     """
     if "POSITION" not in primitive.attributes:
         raise file.fault(f"{field}.attributes", "lack POSITION")
-    index = primitive.indices
-    if index is None:
-        index = primitive.attributes["POSITION"]
-    return file.at(file.tree.accessors, index, field).count
+    at = primitive.attributes["POSITION"]
+    positions = file.at(file.tree.accessors, at, field)
+    if positions.buffer_view is None and positions.sparse is None:
+        raise file.no_data(f"accessors.{at}", primitive)
+    if primitive.indices is None:
+        return positions.count
+    return file.at(file.tree.accessors, primitive.indices, field).count
+
+
+@dataclass(frozen=True)
+class _Surface:
+    """A material, how it uses its texture, and the light that it emits."""
+
+    material: Material
+    use: TextureUse | None = None
+    glow: Glow | None = None
+    glow_use: TextureUse | None = None
 
 
 class _Reader:
@@ -96,32 +117,52 @@ class _Reader:
 
     def __init__(self, file: GlbFile) -> None:
         self._file = file
-        self._materials: dict[int, tuple[Material, TextureUse | None]] = {}
+        self._surfaces: dict[int, _Surface] = {}
         self._textures: dict[int, NDArray[np.uint8]] = {}
 
     def triangles(self, primitive: Primitive, pose: Array, field: str) -> Triangles:
         """Triangles of a primitive, placed."""
         attributes, file = primitive.attributes, self._file
         faces = self._faces(primitive, field)
-        material, use = Material(np.ones(4)), None
+        surface = _Surface(Material(np.ones(4)))
         if primitive.material is not None:
-            material, use = self._material(primitive.material)
-        uv = colours = None
-        if use is not None:
-            placement = file.extension(use, _PLACEMENT, Placement)
-            name = f"TEXCOORD_{use.tex_coord}"
-            if placement is not None and placement.tex_coord is not None:
-                name = f"TEXCOORD_{placement.tex_coord}"
-            if name not in attributes:
-                raise file.fault(f"{field}.attributes", f"lack {name}, which the texture needs")
-            uv = file.corners(attributes[name], f"{field}.{name}", (2,), faces)
-            uv = uv if placement is None else placement.apply(uv)
+            if primitive.material not in self._surfaces:
+                self._surfaces[primitive.material] = self._surface(primitive.material)
+            surface = self._surfaces[primitive.material]
+        uv = self._coordinates(primitive, surface.use, faces, field)
+        glow, colours = surface.glow, None
+        if glow is not None:
+            glow = replace(glow, uv=self._coordinates(primitive, surface.glow_use, faces, field))
         if "COLOR_0" in attributes:
-            colours = file.corners(attributes["COLOR_0"], f"{field}.COLOR_0", (3, 4), faces)
+            index = attributes["COLOR_0"]
+            colours = file.corners(index, f"{field}.COLOR_0", (3, 4), faces, shares=True)
             opaque = np.ones((*faces.shape, 4 - colours.shape[2]))
             colours = np.concatenate([colours, opaque], axis=2)
         corners = file.corners(attributes["POSITION"], f"{field}.POSITION", (3,), faces)
-        return Triangles(se3.apply(pose, corners), uv, colours, material)
+        weighted = zip(primitive.targets, primitive.weights, strict=False)
+        moved = [(target, weight) for target, weight in weighted if weight]
+        if len(moved) > _MOST_TARGETS:
+            raise file.fault(f"{field}.targets", f"{_MOST_TARGETS} are read at most")
+        for target, weight in moved:
+            if "POSITION" in target:
+                name = f"{field}.targets.POSITION"
+                corners += weight * file.corners(target["POSITION"], name, (3,), faces)
+        return Triangles(se3.apply(pose, corners), uv, colours, surface.material, glow)
+
+    def _coordinates(
+        self, primitive: Primitive, use: TextureUse | None, faces: NDArray[np.int64], field: str
+    ) -> Array | None:
+        """(F, 3, 2) texture coordinates for a use of a texture; None without one."""
+        if use is None:
+            return None
+        placement = self._file.extension(use, _PLACEMENT, Placement)
+        name = f"TEXCOORD_{use.tex_coord}"
+        if placement is not None and placement.tex_coord is not None:
+            name = f"TEXCOORD_{placement.tex_coord}"
+        if name not in primitive.attributes:
+            raise self._file.fault(f"{field}.attributes", f"lack {name}, which the texture needs")
+        uv = self._file.corners(primitive.attributes[name], f"{field}.{name}", (2,), faces)
+        return uv if placement is None else placement.apply(uv)
 
     def _faces(self, primitive: Primitive, field: str) -> NDArray[np.int64]:
         """(F, 3) indices of vertices."""
@@ -136,13 +177,7 @@ class _Reader:
         first = order[:-2] if primitive.mode == STRIP else np.full(len(order[2:]), order[0])
         return np.stack([first, order[1:-1], order[2:]], axis=1)
 
-    def _material(self, index: int) -> tuple[Material, TextureUse | None]:
-        """A material, and how it uses its texture."""
-        if index not in self._materials:
-            self._materials[index] = self._read_material(index)
-        return self._materials[index]
-
-    def _read_material(self, index: int) -> tuple[Material, TextureUse | None]:
+    def _surface(self, index: int) -> _Surface:
         file = self._file
         surface = file.at(file.tree.materials, index, "material")
         metallic = surface.pbr_metallic_roughness
@@ -157,22 +192,42 @@ class _Reader:
         if clear is not None and clear.transmission_factor > 0:
             factor[3] *= max(1 - clear.transmission_factor, _CLEAREST)
             alpha = "BLEND"
-        picture = None if use is None else self._texture(use.index)
-        return Material(factor, picture, alpha, surface.alpha_cutoff, gloss), use
+        picture, wrap = self._texture(use)
+        lit = _UNLIT not in surface.extensions
+        cutoff = surface.alpha_cutoff
+        material = Material(factor, picture, alpha, cutoff, gloss, wrap, lit)
+        emitted = np.array(surface.emissive_factor)
+        if not lit or not emitted.any():  # what is unlit shows its base colour alone
+            return _Surface(material, use)
+        strength = file.extension(surface, _STRENGTH, EmissiveStrength)
+        emitted *= 1.0 if strength is None else strength.emissive_strength
+        picture, wrap = self._texture(surface.emissive_texture)
+        glow = Glow(emitted, picture, wrap=wrap)
+        return _Surface(material, use, glow, surface.emissive_texture)
 
-    def _texture(self, index: int) -> NDArray[np.uint8]:
+    def _texture(
+        self, use: TextureUse | None
+    ) -> tuple[NDArray[np.uint8] | None, tuple[Wrap, Wrap]]:
+        """Pixels of a texture and how it goes on beyond them; none without a use of one."""
+        if use is None:
+            return None, REPEATED
         file = self._file
-        texture, field = file.at(file.tree.textures, index, "texture"), f"textures.{index}"
+        texture, field = file.at(file.tree.textures, use.index, "texture"), f"textures.{use.index}"
         webp = file.extension(texture, _WEBP, Texture)
         source = texture.source if webp is None else webp.source
         if source is None:
-            raise file.fault(field, "has no picture, or one of a format that is not read")
+            named = ", ".join(texture.extensions) or "a format that is not read"
+            raise file.fault(field, f"has no picture, or only one of {named}")
         if source not in self._textures:
             if len(self._textures) >= MOST_TEXTURES:
-                raise file.fault("images", f"{MOST_TEXTURES} of base colours are the most")
+                raise file.fault("images", f"{MOST_TEXTURES} of colours are the most")
             data = self._picture(source, field)
             self._textures[source] = decoded(file.path, data, f"images.{source}")
-        return self._textures[source]
+        wrap = REPEATED
+        if texture.sampler is not None:
+            sampler = file.at(file.tree.samplers, texture.sampler, f"{field}.sampler")
+            wrap = _WRAPS[sampler.wrap_s], _WRAPS[sampler.wrap_t]
+        return self._textures[source], wrap
 
     def _picture(self, index: int, field: str) -> bytes:
         file = self._file

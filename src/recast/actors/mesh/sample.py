@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from recast.actors.icp import require_volume, seen_from_outside
-from recast.actors.mesh.triangles import Array, Material, Triangles
+from recast.actors.mesh.triangles import Array, Material, Triangles, Wrap
 from recast.arrays import Int64Array
 from recast.geometry.colour import srgb_to_linear
 
@@ -41,6 +41,7 @@ class Samples:
         albedo: (N, 3) linear base colour.
         alpha: (N,) 1 where nothing shines through.
         gloss: (N,) see `Material`.
+        emission: (N, 3) linear light that is emitted, whatever falls on the surface.
     """
 
     points: Array
@@ -49,6 +50,7 @@ class Samples:
     albedo: Array
     alpha: Array
     gloss: Array
+    emission: Array
 
     def __len__(self) -> int:
         return len(self.points)
@@ -93,12 +95,24 @@ def _sample_part(part: Triangles, step: float) -> Samples:
     if part.colours is not None:
         look = look * _mixed(part.colours[face], weights)
     if part.uv is not None and part.material.texture is not None:
-        look = look * _texels(part, part.material.texture, face, weights, step)
+        wrap = part.material.wrap
+        look = look * _texels(part, part.uv, part.material.texture, wrap, face, weights, step)
     albedo, alpha = np.clip(look[:, :3], 0.0, 1.0), _alpha(part.material, look[:, 3])
+    emission = np.zeros_like(albedo)
+    if not part.material.lit:
+        albedo, emission = emission, albedo
+    glow = part.glow
+    if glow is not None:
+        shown = np.tile(glow.factor, (len(face), 1))
+        if glow.uv is not None and glow.texture is not None:
+            texels = _texels(part, glow.uv, glow.texture, glow.wrap, face, weights, step)
+            shown = shown * texels[:, :3]
+        emission = np.clip(emission + shown, 0.0, 1.0)
     spacing = step / np.sqrt(np.abs(normals).max(axis=1))
-    gloss = np.full(len(face), part.material.gloss)
+    gloss = np.full(len(face), part.material.gloss if part.material.lit else 0.0)
     points = _mixed(part.corners[face], weights)
-    return Samples(points, normals, spacing, albedo, alpha, gloss).select(alpha > _NOTHING)
+    found = Samples(points, normals, spacing, albedo, alpha, gloss, emission)
+    return found.select(alpha > _NOTHING)
 
 
 def _mixed(corners: Array, weights: Array) -> Array:
@@ -156,12 +170,21 @@ def _twice_area(a: Array, b: Array, c: Array) -> Array:
 
 
 def _texels(
-    part: Triangles, texture: NDArray[np.uint8], face: Int64Array, weights: Array, step: float
+    part: Triangles,
+    corners: Array,
+    texture: NDArray[np.uint8],
+    wrap: tuple[Wrap, Wrap],
+    face: Int64Array,
+    weights: Array,
+    step: float,
 ) -> Array:
-    """(N, 4) linear colour and alpha: texels as large as the lattice's squares, bilinear."""
-    assert part.uv is not None
-    uv = _mixed(part.uv[face], weights)
-    shown = np.abs(_twice_area(*np.moveaxis(part.uv * texture.shape[1::-1], 1, 0)))
+    """(N, 4) linear colour and alpha: texels as large as the lattice's squares, bilinear.
+
+    Args:
+        corners: (F, 3, 2) texture coordinates of the part's corners.
+    """
+    uv = _mixed(corners[face], weights)
+    shown = np.abs(_twice_area(*np.moveaxis(corners * texture.shape[1::-1], 1, 0)))
     covered = np.linalg.norm(_twice_areas(part), axis=1)
     texels = step * np.sqrt(shown[face] / covered[face])  # along a square's edge
     level = np.clip(np.rint(np.log2(np.maximum(texels, 1.0))), 0, 15).astype(np.int64)
@@ -171,22 +194,33 @@ def _texels(
     )
     for number in range(int(level.max(initial=0)) + 1):
         here = np.flatnonzero(level == number)
-        found[here] = _bilinear(picture, uv[here])
+        found[here] = _bilinear(picture, uv[here], wrap)
         half = (max(1, picture.shape[1] // 2), max(1, picture.shape[0] // 2))
         picture = cv2.resize(picture, half, interpolation=cv2.INTER_AREA)
     return found
 
 
-def _bilinear(picture: NDArray[np.float32], uv: Array) -> Array:
-    """(N, 4) of a picture (H, W, 4) that repeats, at texture coordinates (N, 2)."""
+def _bilinear(picture: NDArray[np.float32], uv: Array, wrap: tuple[Wrap, Wrap]) -> Array:
+    """(N, 4) of a picture (H, W, 4) at texture coordinates (N, 2)."""
     height, width = picture.shape[:2]
     at = uv * [width, height] - 0.5
     low = np.floor(at).astype(np.int64)
     (x, y), (u, v) = low.T, (at - low).T[:, :, None]
-    left, right, upper, lower = x % width, (x + 1) % width, y % height, (y + 1) % height
+    left, right = (_wrapped(column, width, wrap[0]) for column in (x, x + 1))
+    upper, lower = (_wrapped(row, height, wrap[1]) for row in (y, y + 1))
     above = (1 - u) * picture[upper, left] + u * picture[upper, right]
     below = (1 - u) * picture[lower, left] + u * picture[lower, right]
     return (1 - v) * above + v * below
+
+
+def _wrapped(index: Int64Array, count: int, wrap: Wrap) -> Int64Array:
+    """Rows or columns of a picture that has `count` of them, for any whole numbers."""
+    if wrap == "CLAMP":
+        return np.clip(index, 0, count - 1)
+    if wrap == "MIRROR":
+        index = index % (2 * count)
+        return np.minimum(index, 2 * count - 1 - index)
+    return index % count
 
 
 @dataclass(frozen=True)

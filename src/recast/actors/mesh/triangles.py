@@ -18,6 +18,8 @@ from recast.core.images import decode_image, rgba
 from recast.core.names import member
 
 Alpha = Literal["OPAQUE", "MASK", "BLEND"]
+Wrap = Literal["REPEAT", "CLAMP", "MIRROR"]
+REPEATED: tuple[Wrap, Wrap] = ("REPEAT", "REPEAT")
 
 MOST_TRIANGLES = 3_000_000
 _FARTHEST = 1e7  # of a vertex from the origin, in the file's unit
@@ -38,6 +40,8 @@ class Material:
         alpha: OPAQUE ignores alpha, MASK cuts out what is below `cutoff`, BLEND lets light through.
         cutoff: alpha below which a MASK is open.
         gloss: share of a clear coat's reflection that the surface has, 0 to 1.
+        wrap: how the texture goes on beyond 0 and 1 along u and v.
+        lit: whether light falls on it; else it shows its colour as it is.
     """
 
     factor: Array = field(default_factory=lambda: np.array([0.5, 0.5, 0.5, 1.0]))
@@ -45,6 +49,24 @@ class Material:
     alpha: Alpha = "OPAQUE"
     cutoff: float = 0.5
     gloss: float = 0.0
+    wrap: tuple[Wrap, Wrap] = REPEATED
+    lit: bool = True
+
+
+@dataclass(frozen=True)
+class Glow:
+    """Light that the triangles of one part emit, beside what they reflect.
+
+    Attributes:
+        factor: (3,) linear RGB by which the texture is multiplied.
+        texture, wrap: see `Material`.
+        uv: (F, 3, 2) texture coordinates; None without a texture.
+    """
+
+    factor: Array
+    texture: NDArray[np.uint8] | None = None
+    uv: Array | None = None
+    wrap: tuple[Wrap, Wrap] = REPEATED
 
 
 @dataclass(frozen=True)
@@ -56,12 +78,14 @@ class Triangles:
         uv: (F, 3, 2) texture coordinates, (0, 0) the upper left corner; None if there are none.
         colours: (F, 3, 4) linear vertex colours and alpha; None if there are none.
         material: how they look.
+        glow: light that they emit; None if they do not.
     """
 
     corners: Array
     uv: Array | None
     colours: Array | None
     material: Material
+    glow: Glow | None = None
 
     def __len__(self) -> int:
         return len(self.corners)
@@ -78,6 +102,8 @@ def checked(path: Path, parts: Sequence[Triangles]) -> list[Triangles]:
         raise InputError(path, "mesh", "holds no triangles", "export it with its faces")
     for part in parts:
         values = {"vertices": part.corners, "texture coordinates": part.uv, "colours": part.colours}
+        if part.glow is not None:
+            values |= {"emission": part.glow.factor, "emission's coordinates": part.glow.uv}
         for name, found in values.items():
             if found is not None and not np.all(np.abs(found) <= _FARTHEST):  # also NaN
                 problem = f"are not all finite and within {_FARTHEST:g}"

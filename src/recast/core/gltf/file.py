@@ -1,4 +1,4 @@
-"""glTF 2.0 in a binary file (GLB): the container, its accessors and the buffers that it names.
+"""glTF 2.0, binary (GLB) or as text: the container, its accessors and the buffers that it names.
 
 Khronos, glTF 2.0 Specification, sections 3.5, 3.6 and 4.4. Arrays stay where they lie in the file,
 so that what a file claims takes no memory.
@@ -20,7 +20,7 @@ from pydantic import ValidationError
 
 from recast.core import files
 from recast.core.errors import InputError
-from recast.core.gltf.tree import Part, Tree
+from recast.core.gltf.tree import Part, Sparse, Tree
 from recast.core.names import member
 from recast.core.records import validation_error
 
@@ -36,7 +36,9 @@ _JSON_BYTES = 1 << 25
 _GLB, _JSON, _BIN = 0x46546C67, 0x4E4F534A, 0x004E4942
 _TYPES = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
 _WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4}
-_UNREADABLE = ("compression", "instancing")  # in names of extensions that change geometry
+_COMPRESSION = "compression"  # in names of extensions without which there is no geometry
+_MOST_MADE = 1 << 24  # rows of sparse arrays, which a file can claim without having them
+_TEXT_SUFFIX = ".gltf"
 
 
 class GlbFile:
@@ -50,7 +52,9 @@ class GlbFile:
 
     def __init__(self, path: Path, most_bytes: int = MOST_BYTES) -> None:
         self.path = path
-        chunks = self._chunks(memoryview(files.read_bytes(path, most_bytes)))
+        data = memoryview(files.read_bytes(path, most_bytes))
+        is_text = path.suffix.lower() == _TEXT_SUFFIX
+        chunks = {_JSON: data} if is_text else self._chunks(data)
         if len(chunks.get(_JSON, b"")) not in range(1, _JSON_BYTES):
             raise self.fault("JSON", f"is missing, or of more than {_JSON_BYTES} bytes")
         try:
@@ -58,15 +62,26 @@ class GlbFile:
         except ValidationError as error:
             raise validation_error(path, error, _MEND) from None
         for name in self.tree.extensions_required:
-            if any(word in name.lower() for word in _UNREADABLE):
+            if _COMPRESSION in name.lower():
                 raise self.fault("extensionsRequired", f"names {name}, which is not read")
         self._buffers: dict[int, memoryview] = {}
-        if _BIN in chunks and self.tree.buffers and self.tree.buffers[0].uri is None:
+        self._sparse: dict[int, NDArray[Any]] = {}
+        first = self.tree.buffers[0] if self.tree.buffers else None
+        compressed = first is not None and self._compressions(first)  # it has no data of its own
+        if _BIN in chunks and first is not None and first.uri is None and not compressed:
             self._buffers[0] = chunks[_BIN]
 
     def fault(self, field: str, problem: str) -> InputError:
         """The error of a member."""
         return InputError(self.path, field, problem, _MEND)
+
+    def no_data(self, field: str, owner: Part) -> InputError:
+        """The error of a member whose data are missing, or compressed by an extension."""
+        names = self._compressions(owner)
+        return self.fault(field, f"has no data{' without ' * bool(names)}{', '.join(names)}")
+
+    def _compressions(self, owner: Part) -> list[str]:
+        return [name for name in owner.extensions if _COMPRESSION in name.lower()]
 
     def at(self, members: Sequence[One], index: int, field: str) -> One:
         """The member that `field` names by its index."""
@@ -94,34 +109,69 @@ class GlbFile:
         return buffer[view.byte_offset : end]
 
     def array(self, index: int, field: str, widths: tuple[int, ...]) -> NDArray[Any]:
-        """An accessor's numbers (N, width), where they lie; its width is one of `widths`."""
+        """An accessor's numbers (N, width); its width is one of `widths`.
+
+        They stay where they lie, unless they are sparse. Without data they are zeros.
+        """
         accessor = self.at(self.tree.accessors, index, field)
         width = _WIDTHS.get(accessor.type, 0)
         if width not in widths:
             raise self.fault(field, f"is of type {accessor.type}")
-        if accessor.buffer_view is None or accessor.sparse is not None:
-            raise self.fault(f"accessors.{index}", "is sparse or without data, which is not read")
-        data = self.view(accessor.buffer_view, f"accessors.{index}.bufferView")
-        dtype = np.dtype(_TYPES[accessor.component_type])
-        stride = self.tree.buffer_views[accessor.buffer_view].byte_stride or width * dtype.itemsize
-        end = accessor.byte_offset + (accessor.count - 1) * stride + width * dtype.itemsize
+        dtype, shape = np.dtype(_TYPES[accessor.component_type]), (accessor.count, width)
+        name = f"accessors.{index}"
+        if accessor.buffer_view is None:
+            values = np.broadcast_to(np.zeros((), dtype), shape)
+        else:
+            values = self._numbers(accessor.buffer_view, accessor.byte_offset, dtype, shape, name)
+        if accessor.sparse is None:
+            return values
+        if index not in self._sparse:
+            self._sparse[index] = self._replaced(values, accessor.sparse, f"{name}.sparse")
+        return self._sparse[index]
+
+    def _numbers(
+        self, index: int, offset: int, dtype: np.dtype, shape: tuple[int, int], field: str
+    ) -> NDArray[Any]:
+        """Numbers (N, width) in a view, from a byte of it on."""
+        data = self.view(index, f"{field}.bufferView")
+        row = shape[1] * dtype.itemsize
+        stride = self.tree.buffer_views[index].byte_stride or row
+        end = offset + (shape[0] - 1) * stride + row
         if end > len(data):
-            raise self.fault(f"accessors.{index}", f"ends at byte {end} of {len(data)}")
-        return np.ndarray(
-            (accessor.count, width), dtype, data, accessor.byte_offset, (stride, dtype.itemsize)
-        )
+            raise self.fault(field, f"ends at byte {end} of {len(data)}")
+        return np.ndarray(shape, dtype, data, offset, (stride, dtype.itemsize))
+
+    def _replaced(self, values: NDArray[Any], sparse: Sparse, field: str) -> NDArray[Any]:
+        """A copy of numbers with some rows replaced."""
+        if sum(map(len, self._sparse.values())) + len(values) > _MOST_MADE:
+            raise self.fault(field, f"arrays have more than {_MOST_MADE} rows")
+        kind = np.dtype(_TYPES[sparse.indices.component_type])
+        at, of = sparse.indices, sparse.values
+        rows = self._numbers(at.buffer_view, at.byte_offset, kind, (sparse.count, 1), field)[:, 0]
+        if int(rows.max()) >= len(values):
+            raise self.fault(field, f"replaces row {rows.max()} of {len(values)}")
+        shape = (sparse.count, values.shape[1])
+        replaced = values.copy()
+        replaced[rows] = self._numbers(of.buffer_view, of.byte_offset, values.dtype, shape, field)
+        return replaced
 
     def corners(
-        self, index: int, field: str, widths: tuple[int, ...], faces: NDArray[np.int64]
+        self,
+        index: int,
+        field: str,
+        widths: tuple[int, ...],
+        faces: NDArray[np.int64],
+        shares: bool = False,
     ) -> NDArray[np.float64]:
         """An accessor's numbers at the corners of faces (F, 3), (F, 3, width); shares as such.
 
-        Only what is asked for becomes floats: primitives may share one array of all vertices.
+        With `shares`, whole numbers are normalised even if the accessor does not say so. Only what
+        is asked for becomes floats: primitives may share one array of all vertices.
         """
         values = self.array(index, field, widths)
         if len(faces) and faces.max() >= len(values):
             raise self.fault(field, f"has {len(values)} rows, the indices go up to {faces.max()}")
-        return self._shares(index, values[faces].astype(np.float64), values.dtype)
+        return self._shares(index, values[faces].astype(np.float64), values.dtype, shares)
 
     def rows(
         self, index: int, field: str, widths: tuple[int, ...], count: int
@@ -132,18 +182,21 @@ class GlbFile:
             raise self.fault(field, f"has {len(values)} rows, not {count}")
         return self._shares(index, values.astype(np.float32), values.dtype)
 
-    def _shares(self, index: int, values: NDArray[Any], kind: np.dtype) -> NDArray[Any]:
+    def _shares(
+        self, index: int, values: NDArray[Any], kind: np.dtype, always: bool = False
+    ) -> NDArray[Any]:
         """Numbers that an accessor stored as `kind`, normalised if it says so (section 3.6.2.2)."""
-        if self.tree.accessors[index].normalized and kind.kind != "f":
+        if (always or self.tree.accessors[index].normalized) and kind.kind != "f":
             return np.maximum(values / np.iinfo(kind).max, -1.0).astype(values.dtype)
         return values
 
     def _buffer(self, index: int) -> memoryview:
         if index not in self._buffers:
-            uri = self.at(self.tree.buffers, index, "buffer").uri
-            if uri is None:
-                raise self.fault(f"buffers.{index}", "has no data")
-            self._buffers[index] = memoryview(data_of(self.path, uri, f"buffers.{index}.uri"))
+            buffer = self.at(self.tree.buffers, index, "buffer")
+            if buffer.uri is None:
+                raise self.no_data(f"buffers.{index}", buffer)
+            data = data_of(self.path, buffer.uri, f"buffers.{index}.uri")
+            self._buffers[index] = memoryview(data)
         return self._buffers[index]
 
     def _chunks(self, data: memoryview) -> dict[int, memoryview]:

@@ -20,6 +20,7 @@ Share = Field(1.0, ge=0, le=1)
 
 MOST_NODES = 100_000
 _MOST_PRIMITIVES = 20_000
+_VISIBILITY, _INSTANCES = "KHR_node_visibility", "EXT_mesh_gpu_instancing"
 POINTS, TRIANGLES, STRIP, FAN = 0, 4, 5, 6
 """Modes of a primitive."""
 
@@ -40,6 +41,29 @@ class View(Part):
     byte_stride: int | None = Field(None, ge=1, le=252)
 
 
+class SparseIndices(Part):
+    """Rows of an accessor, in a view."""
+
+    buffer_view: int
+    byte_offset: int = Field(0, ge=0)
+    component_type: Literal[5121, 5123, 5125]
+
+
+class SparseValues(Part):
+    """Numbers of rows of an accessor, in a view."""
+
+    buffer_view: int
+    byte_offset: int = Field(0, ge=0)
+
+
+class Sparse(Part):
+    """Rows of an accessor that differ from its view, or from zeros."""
+
+    count: int = Field(ge=1)
+    indices: SparseIndices
+    values: SparseValues
+
+
 class Accessor(Part):
     """An array in a view."""
 
@@ -49,7 +73,7 @@ class Accessor(Part):
     normalized: bool = False
     count: int = Field(ge=1)
     type: Literal["SCALAR", "VEC2", "VEC3", "VEC4", "MAT2", "MAT3", "MAT4"]
-    sparse: Any = None
+    sparse: Sparse | None = None
 
 
 class Data(Part):
@@ -63,6 +87,14 @@ class Texture(Part):
     """An image and how it is sampled."""
 
     source: int | None = None
+    sampler: int | None = None
+
+
+class Sampler(Part):
+    """How a texture goes on beyond 0 and 1: clamped, mirrored or repeated."""
+
+    wrap_s: Literal[33071, 33648, 10497] = 10497
+    wrap_t: Literal[33071, 33648, 10497] = 10497
 
 
 class TextureUse(Part):
@@ -94,6 +126,24 @@ class Transmission(Part):
     transmission_factor: float = Field(0.0, ge=0, le=1)
 
 
+class EmissiveStrength(Part):
+    """KHR_materials_emissive_strength."""
+
+    emissive_strength: float = Field(1.0, ge=0)
+
+
+class Visibility(Part):
+    """KHR_node_visibility; it holds for the nodes below as well."""
+
+    visible: bool = True
+
+
+class Instances(Part):
+    """EXT_mesh_gpu_instancing: accessors of TRANSLATION, ROTATION and SCALE."""
+
+    attributes: dict[str, int]
+
+
 class Placement(Part):
     """KHR_texture_transform."""
 
@@ -115,6 +165,8 @@ class Surface(Part):
     pbr_metallic_roughness: Metallic = Metallic()
     alpha_mode: Literal["OPAQUE", "MASK", "BLEND"] = "OPAQUE"
     alpha_cutoff: float = 0.5
+    emissive_factor: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    emissive_texture: TextureUse | None = None
 
 
 class Primitive(Part):
@@ -124,12 +176,16 @@ class Primitive(Part):
     indices: int | None = None
     material: int | None = None
     mode: int = TRIANGLES
+    targets: tuple[dict[str, int], ...] = ()
+    weights: tuple[float, ...] = ()
+    """Of the targets: those of the mesh or the node, see `placed_primitives`."""
 
 
 class Mesh(Part):
     """Primitives that move together."""
 
     primitives: tuple[Primitive, ...]
+    weights: tuple[float, ...] = ()
 
 
 class Node(Part):
@@ -138,6 +194,7 @@ class Node(Part):
     children: tuple[int, ...] = ()
     mesh: int | None = None
     skin: int | None = None
+    weights: tuple[float, ...] | None = None
     matrix: tuple[float, ...] | None = Field(None, min_length=16, max_length=16)
     translation: tuple[float, float, float] = (0.0, 0.0, 0.0)
     rotation: Four = (0.0, 0.0, 0.0, 1.0)
@@ -151,9 +208,17 @@ class Node(Part):
         """
         if self.matrix is not None:
             return np.array(self.matrix).reshape(4, 4).T
-        x, y, z, w = self.rotation
-        turn = se3.quat_to_matrix([w, x, y, z])
-        return se3.from_rotation_translation(turn * np.array(self.scale), self.translation)
+        return _pose(np.array(self.translation), np.array(self.rotation), np.array(self.scale))
+
+
+def _pose(translation: Array, rotation: Array, scale: Array) -> Array:
+    """(..., 4, 4) of translations, quaternions xyzw and scales (..., 3 or 4).
+
+    Raises:
+        ValueError: a quaternion is zero.
+    """
+    turn = se3.quat_to_matrix(np.roll(rotation, 1, axis=-1))
+    return se3.from_rotation_translation(turn * scale[..., None, :], translation)
 
 
 class Scene(Part):
@@ -178,6 +243,7 @@ class Tree(Part):
     meshes: tuple[Mesh, ...] = ()
     materials: tuple[Surface, ...] = ()
     textures: tuple[Texture, ...] = ()
+    samplers: tuple[Sampler, ...] = ()
     images: tuple[Data, ...] = ()
     accessors: tuple[Accessor, ...] = ()
     buffer_views: tuple[View, ...] = ()
@@ -186,10 +252,11 @@ class Tree(Part):
 
 
 def placed_primitives(file: GlbFile) -> list[tuple[Primitive, Array, str]]:
-    """Primitives of the scene, `scene_from_mesh` (4, 4), and their names.
+    """Primitives of the scene, `scene_from_mesh` (4, 4), and their names; each instance is one.
 
     Raises:
-        InputError: the nodes are no tree, one is rigged, or there are too many primitives.
+        InputError: the nodes are no tree, one is rigged, instances lack data, or there are too many
+            primitives.
     """
     tree = file.tree
     children = {child for node in tree.nodes for child in node.children}
@@ -205,6 +272,9 @@ def placed_primitives(file: GlbFile) -> list[tuple[Primitive, Array, str]]:
         if index in seen:
             raise file.fault(field, "has two parents")
         seen.add(index)
+        visibility = file.extension(node, _VISIBILITY, Visibility)
+        if visibility is not None and not visibility.visible:
+            continue
         if node.skin is not None:
             raise file.fault(f"{field}.skin", "is rigged, which is not read")
         try:
@@ -214,9 +284,38 @@ def placed_primitives(file: GlbFile) -> list[tuple[Primitive, Array, str]]:
         waiting += [(child, pose, f"{field}.children") for child in node.children]
         if node.mesh is None:
             continue
-        primitives = file.at(tree.meshes, node.mesh, f"{field}.mesh").primitives
-        names = (f"meshes.{node.mesh}.primitives.{i}" for i in range(len(primitives)))
-        found += [(one, pose, name) for one, name in zip(primitives, names, strict=False)]
-        if len(found) > _MOST_PRIMITIVES:
+        mesh = file.at(tree.meshes, node.mesh, f"{field}.mesh")
+        weights = mesh.weights if node.weights is None else node.weights
+        instances = _instances(file, node, field)
+        if len(found) + len(instances) * len(mesh.primitives) > _MOST_PRIMITIVES:
             raise file.fault("nodes", f"draw more than {_MOST_PRIMITIVES} primitives")
+        for i, primitive in enumerate(mesh.primitives):
+            one = primitive.model_copy(update={"weights": weights})
+            name = f"meshes.{node.mesh}.primitives.{i}"
+            found += [(one, pose @ instance, name) for instance in instances]
     return found
+
+
+def _instances(file: GlbFile, node: Node, field: str) -> Array:
+    """(N, 4, 4) places of a node's mesh in the node's frame: one, unless it has instances."""
+    extension = file.extension(node, _INSTANCES, Instances)
+    if extension is None:
+        return np.eye(4)[None]
+    named = f"{field}.{_INSTANCES}"
+    known = {"TRANSLATION": (0.0, 0.0, 0.0), "ROTATION": (0.0, 0.0, 0.0, 1.0), "SCALE": (1.0,) * 3}
+    given = {name: index for name, index in extension.attributes.items() if name in known}
+    if not given:
+        raise file.fault(named, f"has none of {', '.join(known)}")
+    count = file.at(file.tree.accessors, next(iter(given.values())), named).count
+    if count > _MOST_PRIMITIVES:
+        raise file.fault(named, f"draws more than {_MOST_PRIMITIVES} instances")
+    rows = [
+        file.rows(given[name], f"{named}.{name}", (len(usual),), count).astype(np.float64)
+        if name in given
+        else np.tile(usual, (count, 1))
+        for name, usual in known.items()
+    ]
+    try:
+        return _pose(*rows)
+    except ValueError:
+        raise file.fault(f"{named}.ROTATION", "holds a quaternion of norm zero") from None
