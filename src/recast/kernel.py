@@ -10,7 +10,7 @@ from functools import lru_cache
 from importlib.metadata import PackageNotFoundError, distribution
 from pathlib import Path
 
-_ABI = 5
+_ABI = 6
 _SUFFIXES = (".so", ".dylib", ".dll")
 
 
@@ -20,6 +20,7 @@ class View(ctypes.Structure):
     _fields_ = [
         ("count", ctypes.c_int64),
         *((name, ctypes.c_int32) for name in ("sh_bases", "width", "height")),
+        *((name, ctypes.c_int32) for name in ("left", "top", "whole_width", "whole_height")),
         *((name, ctypes.c_int32) for name in ("antialiased", "training", "most_at_once")),
         *((name, ctypes.c_float) for name in ("near", "far", "eps2d", "max_alpha")),
         *((name, ctypes.c_float) for name in ("fx", "fy", "cx", "cy")),

@@ -77,8 +77,7 @@ def test_a_window_shows_the_same_and_black_around(
         images, found = whole.render(state, list(mounts)), cropped.render(state, list(mounts))
     for name in mounts:
         inside = np.s_[8:60, 10:81]
-        error = np.mean((found[name][inside].astype(float) - images[name][inside]) ** 2)
-        assert 10 * np.log10(255**2 / max(error, 1e-9)) > 35, f"{name}: only noise differs"
+        np.testing.assert_array_equal(found[name][inside], images[name][inside])
         found[name][inside] = 0
         assert not found[name].any()
 

@@ -37,8 +37,9 @@ class Grey(Mounted):
         images = {}
         for name in camera_names:
             mount = self._mounts[name]
-            size = mount.rendered_camera
-            image = mount.framed(np.full((size.height, size.width, 3), 100, np.uint8))
+            image = mount.masked(
+                np.full((mount.camera.height, mount.camera.width, 3), 100, np.uint8)
+            )
             images[name] = image if mount.seen is None else image * mount.seen[..., None]
         return images
 

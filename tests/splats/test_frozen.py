@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 
 import pytest
 import torch
@@ -16,6 +17,7 @@ from recast.splats import (
     Gaussians,
     LowPass,
     RasterImages,
+    Window,
     concatenate,
     freeze,
     morton_order,
@@ -214,3 +216,33 @@ def test_faults_are_named() -> None:
         draw([(part, 2 * EYE)])
     with pytest.raises(ValueError, match=r"camera_from_world is not finite"):
         rasterize_frozen([(part, EYE)], EYE * float("nan"), K, WIDTH, HEIGHT)
+
+
+@pytest.mark.parametrize("window", [(3, 5, WIDTH - 1, HEIGHT), (16, 16, 32, 32), (21, 7, 23, 9)])
+def test_a_window_has_the_pixels_of_the_whole_image(isa: str, window: Window) -> None:
+    gaussians = random_gaussians("normal")
+    left, top, right, bottom = window
+    parts = [(freeze(gaussians), EYE)]
+    pairs = [(draw(parts), draw(parts, window=window))]
+    for backend in ("native", "reference"):
+        render = partial(rasterize, gaussians, camera(), K, WIDTH, HEIGHT, backend=backend)  # type: ignore[arg-type]
+        pairs.append((render(), render(window=window)))
+    for (whole, part), tolerance in zip(pairs, (0.0, 0.0, 1e-5), strict=True):
+        for name in ("rgb", "depth", "alpha"):
+            expected = getattr(whole, name)[top:bottom, left:right]
+            torch.testing.assert_close(getattr(part, name), expected, rtol=0, atol=tolerance)
+
+
+def test_gradients_of_a_window_are_those_of_a_loss_on_it(isa: str) -> None:
+    left, top, right, bottom = window = (3, 5, WIDTH - 4, HEIGHT - 3)
+    gradients = []
+    for given in (None, window):
+        gaussians = random_gaussians("normal")
+        means = gaussians.means.requires_grad_()
+        drawn = rasterize(gaussians, camera(), K, WIDTH, HEIGHT, window=given, backend="native")
+        rgb = drawn.rgb if given else drawn.rgb[top:bottom, left:right]
+        rgb.square().sum().backward()
+        gradients.append(means.grad)
+    torch.testing.assert_close(gradients[1], gradients[0], rtol=1e-4, atol=1e-4)
+    with pytest.raises(ValueError, match="window"):
+        rasterize(gaussians, camera(), K, WIDTH, HEIGHT, window=(0, 0, WIDTH + 1, 3))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from contextlib import ExitStack
+from dataclasses import replace
 from functools import cached_property
 from typing import TYPE_CHECKING
 
@@ -74,6 +75,9 @@ class Renderers:
         """
         key = arm.name, tracks, planner
         if key not in self._made:
+            if self._restores(arm) or arm.noise == "jitter":
+                # What comes out for a pixel depends on others, beyond the window, too.
+                mounts = {name: replace(mount, window=None) for name, mount in mounts.items()}
             made = through_lenses(mounts, lambda pinholes: self._make(arm, tracks, pinholes))
             self._made[key] = self._restored(arm, self._disturbed(arm, made))
         return self._made[key]
@@ -131,8 +135,11 @@ class Renderers:
         seed = self._world_of().seed if arm.needs_world else 0
         return NoisyRenderer(renderer, arm.noise, seed)
 
+    def _restores(self, arm: Arm) -> bool:
+        return self._restorer is not None and arm.restorable
+
     def _restored(self, arm: Arm, renderer: SensorRenderer) -> SensorRenderer:
-        if self._restorer is None or not arm.restorable:
+        if self._restorer is None or not self._restores(arm):
             return renderer
         return RestoringRenderer(renderer, make_restorer(self._restorer))
 

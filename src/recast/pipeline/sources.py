@@ -37,7 +37,7 @@ RECIPES = {
     "scene": 3,
     "evaluation": 2,
     "truth": 4,
-    "rollout": 5,
+    "rollout": 6,
     "scene-level": 3,
     "metrics": 5,
     "report": 6,

@@ -48,14 +48,6 @@ class CameraMount:
     source: str | None = None
     window: tuple[int, int, int, int] | None = None
 
-    @property
-    def rendered_camera(self) -> PinholeCamera:
-        """The camera of the part that is rendered."""
-        if self.window is None:
-            return self.camera
-        left, top, right, bottom = self.window
-        return self.camera.cropped(left, top, right - left, bottom - top)
-
     def framed(self, rendered: Image) -> Image:
         """The image (height, width, 3), black around the part that was rendered."""
         if self.window is None:
@@ -64,6 +56,17 @@ class CameraMount:
         image = np.zeros((self.camera.height, self.camera.width, 3), np.uint8)
         image[top:bottom, left:right] = rendered
         return image
+
+    def windowed(self, image: Image) -> Image:
+        """The part of a whole image that is rendered."""
+        if self.window is None:
+            return image
+        left, top, right, bottom = self.window
+        return image[top:bottom, left:right]
+
+    def masked(self, image: Image) -> Image:
+        """A whole image, black around the part that is rendered."""
+        return self.framed(self.windowed(image))
 
 
 @dataclass(frozen=True)

@@ -16,6 +16,7 @@ from recast.scene.street_scene import SceneActor, StreetScene
 from recast.splats import (
     FrozenGaussians,
     RasterImages,
+    Window,
     freeze,
     morton_order,
     pick_device,
@@ -114,23 +115,24 @@ class SceneRasterizer:
         poses: Mapping[str, Array],
         colours_us: int | None = None,
         shapes_us: int | None = None,
+        window: Window | None = None,
     ) -> RasterImages:
         """Draw one view and leave it where it was drawn, sky included, rgb in [0, 1].
 
         Args:
+            window: the part of the camera's image to draw, with the pixels of the whole image; None
+                for all of it.
             colours_us: time of the recording whose colours the actors have, where they change; None
                 for those that they are stored with.
             shapes_us: time of the recording whose shapes deformable actors have, see
                 `SceneActor.shaped_at`.
         """
-        result = self.layer(camera, camera_from_world, poses, colours_us, shapes_us)
+        result = self.layer(camera, camera_from_world, poses, colours_us, shapes_us, window=window)
+        left, top, right, bottom = window or (0, 0, camera.width, camera.height)
+        # Interpolated between nodes of the whole image.
+        coordinates = pixel_coordinates(camera, camera_from_world)[top:bottom, left:right]
         with torch.no_grad():
-            rgb = composite(
-                result.rgb,
-                result.alpha,
-                self._sky,
-                pixel_coordinates(camera, camera_from_world),
-            )
+            rgb = composite(result.rgb, result.alpha, self._sky, coordinates)
         return replace(result, rgb=rgb.clamp(0, 1))
 
     def layer(
@@ -143,6 +145,7 @@ class SceneRasterizer:
         *,
         nearer_than: float = _FAR,
         street: bool = True,
+        window: Window | None = None,
     ) -> RasterImages:
         """Draw Gaussians alone: rgb is premultiplied, on black, without a sky; others as `draw`.
 
@@ -161,7 +164,9 @@ class SceneRasterizer:
             for part in self._parts_at(track_id, pose, colours_us, shapes_us):
                 drawn.append((part, world_from_actor))
         with torch.no_grad():
-            return rasterize_frozen(drawn, view, K, camera.width, camera.height, far=nearer_than)
+            return rasterize_frozen(
+                drawn, view, K, camera.width, camera.height, far=nearer_than, window=window
+            )
 
 
 def frozen_parts(actor: SceneActor, place: torch.device) -> Parts:

@@ -50,10 +50,7 @@ class NoisyRenderer:
     def _jittered(self, name: str, image: Image) -> Image:
         """Of a camera with a window, what lies in it."""
         mount = self._renderer.mounts[name]
-        if mount.window is None:
-            return jittered(image)
-        left, top, right, bottom = mount.window
-        return mount.framed(jittered(image[top:bottom, left:right]))
+        return mount.framed(jittered(mount.windowed(image)))
 
     def _number(self, camera: str, step: int) -> list[int]:
         return [self._seed, _STREAM, sensor_number(camera), step]

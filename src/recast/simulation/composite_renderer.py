@@ -81,7 +81,7 @@ class TrueVehicleRenderer(WorldRenderer):
         parts = self._pool.map(_true_parts, views)
         poses, time = self._street.poses(state), state.timestamp_us
         return {
-            view.name: self._mounts[view.name].framed(self._composed(view, part, poses, time))
+            view.name: self._mounts[view.name].masked(self._composed(view, part, poses, time))
             for view, part in zip(views, parts, strict=True)
         }
 
@@ -151,7 +151,7 @@ class GeneratedVehicleRenderer(WorldRenderer):
             )
             rgb, alpha, depth = _arrays(layer)
             image = gaussians_in_truth(frame.rgb, frame.depth, rgb, depth, alpha)
-            images[view.name] = self._mounts[view.name].framed(image)
+            images[view.name] = self._mounts[view.name].masked(image)
         return images
 
 

@@ -58,6 +58,9 @@ class WorldRenderer(Mounted, Closing):
     """Base of renderers that look at a synthetic world, each camera with the exposure it has in the
     log, virtual ones with that of the camera at whose place they are.
 
+    Whole images are traced, also of a camera with a window: rays are drawn by chance and their light
+    is averaged with the neighbours', so that a part alone would have other pixels.
+
     Close it, or use it as a context manager: it may hold processes.
 
     Args:
@@ -96,8 +99,7 @@ class WorldRenderer(Mounted, Closing):
             mount = self._mounts[name]
             place = state.world_from_rig @ mount.rig_from_camera
             exposed_as = name if mount.source is None else mount.source
-            camera = mount.rendered_camera
-            view = TrueView(name, exposed_as, camera, place, state.poses, state.step)
+            view = TrueView(name, exposed_as, mount.camera, place, state.poses, state.step)
             found.append(view._replace(tracks=self._tracks, noise=self._noise))
         return found
 
@@ -118,7 +120,7 @@ class OracleRenderer(WorldRenderer):
         """
         views = self.views(state, camera_names)
         images = zip(camera_names, self._pool.map(_render, views), strict=True)
-        return {name: self._mounts[name].framed(image) for name, image in images}
+        return {name: self._mounts[name].masked(image) for name, image in images}
 
 
 def _render(oracle: Oracle, view: TrueView) -> Image:

@@ -63,7 +63,7 @@ class RestoringRenderer:
         rendered = self._renderer.render(state, camera_names)
         if not rendered:
             return rendered
-        parts = {name: _windowed(self.mounts[name], image) for name, image in rendered.items()}
+        parts = {name: self.mounts[name].windowed(image) for name, image in rendered.items()}
         found = self._restorer.restore(parts)
         return {name: self._framed(name, part, found) for name, part in parts.items()}
 
@@ -78,14 +78,6 @@ class RestoringRenderer:
             raise InputError(f"restorer {self.restored_by}", name, problem or "", _MEND)
         framed = mount.framed(image)
         return framed if mount.seen is None else framed * mount.seen[..., None]
-
-
-def _windowed(mount: CameraMount, image: Image) -> Image:
-    """The part of an image that is rendered."""
-    if mount.window is None:
-        return image
-    left, top, right, bottom = mount.window
-    return image[top:bottom, left:right]
 
 
 def make_restorer(restorer: str | PathLike[str] | Restorer) -> Restorer:

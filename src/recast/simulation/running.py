@@ -5,6 +5,7 @@ from __future__ import annotations
 import traceback
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
+from dataclasses import replace
 
 import numpy as np
 
@@ -12,7 +13,7 @@ from recast.arrays import Array, Image
 from recast.dynamics import state as ego
 from recast.geometry import se2
 from recast.logs.types import DrivingLog, Track, Trajectory
-from recast.planning import Planner, planner_cameras
+from recast.planning import Planner, looked_at, planner_cameras
 from recast.simulation.motions import Stationary
 from recast.simulation.plan_execution import EgoController, LqrController, ask
 from recast.simulation.recorded_road import refuse_if_too_short
@@ -41,7 +42,8 @@ def run_rollout(
     """Run one rollout; never stopped by a collision.
 
     Rendered are the planner's cameras at the plan steps if it needs images, the setup's cameras at
-    every step if `on_frame` is given, and nothing otherwise.
+    every step if `on_frame` is given, and nothing otherwise. The planner's images are black outside
+    of the windows that it looks at, so that states and plans are the same with and without a film.
 
     Args:
         renderer: needed where anything is rendered.
@@ -59,26 +61,33 @@ def run_rollout(
         raise ValueError(f"run_rollout: {who} needs images, so give a renderer")
     timings = timings or Timings()
     names = tuple(setup.log.cameras if setup.camera_names is None else setup.camera_names)
-    seen = planner_cameras(planner, {} if renderer is None else renderer.mounts, names)
+    mounts = {} if renderer is None else renderer.mounts
+    seen = planner_cameras(planner, mounts, names)
+    # What the planner gets must not depend on whether there is a film.
+    shown = {name: looked_at(planner, mounts)[name] for name in seen}
     filmed = () if on_frame is None else names
+    besides = tuple(name for name in filmed if name not in seen)
     simulator = Simulator.from_setup(
         setup, renderer, cameras=seen, planner=planner.name, timings=timings
     )
     with _finishing(planner):
-        planner.reset(simulator.context)
+        planner.reset(replace(simulator.context, cameras=shown))
         while not simulator.done:
             first = simulator.step_number
-            # One call for both, since a renderer may draw its cameras side by side.
-            images = simulator.render(tuple(dict.fromkeys(seen + filmed)) if seen else ())
-            observation = simulator.observe({name: images[name] for name in seen})
+            images = simulator.render(seen)
+            masked = {name: mount.masked(images[name]) for name, mount in shown.items()}
+            observation = simulator.observe(masked)
             plan, took = ask(planner, observation, setup.plan_limit_s)
             timings.plan += took
             kept = simulator.advance(plan)
             if on_frame is None:
                 continue
             for step in range(first, first + kept):
-                if step > first or not images:
-                    images = simulator.render(filmed, step)
+                images = (
+                    simulator.render(filmed, step)
+                    if step > first
+                    else {**images, **simulator.render(besides, step)}
+                )
                 on_frame(simulator.state_at(step), {name: images[name] for name in filmed})
     refuse_if_too_short(setup, simulator.step_number, simulator.cut_reason)
     return simulator.rollout

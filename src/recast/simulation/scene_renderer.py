@@ -17,6 +17,7 @@ from recast.scene.render import SceneRasterizer
 from recast.scene.street_scene import StreetScene
 from recast.simulation.renderer import Mounted, SensorRenderer
 from recast.simulation.state import SimState
+from recast.splats import Window
 
 
 class SceneRenderer(Mounted):
@@ -55,10 +56,11 @@ class SceneRenderer(Mounted):
             camera_from_world = se3.inverse(state.world_from_rig @ mount.rig_from_camera)
             image = draw_image(
                 self.rasterizer,
-                mount.rendered_camera,
+                mount.camera,
                 camera_from_world,
                 poses,
                 state.timestamp_us,
+                mount.window,
             )
             images[name] = mount.framed(image)
         return images
@@ -88,13 +90,15 @@ def draw_image(
     camera_from_world: Array,
     poses: Mapping[str, Array],
     timestamp_us: int,
+    window: Window | None = None,
 ) -> Image:
     """An image (height, width, 3) uint8 RGB of a rectified camera; see `SceneRasterizer.draw`.
 
     Args:
         timestamp_us: time of the recording whose shapes deformable actors have.
+        window: the part of the image to draw; None for all of it.
     """
-    drawn = rasterizer.draw(camera, camera_from_world, poses, shapes_us=timestamp_us)
+    drawn = rasterizer.draw(camera, camera_from_world, poses, shapes_us=timestamp_us, window=window)
     # Quantised where it was drawn: a quarter of the bytes to bring over.
     return (drawn.rgb * 255).round().to(torch.uint8).cpu().numpy()
 

@@ -7,7 +7,7 @@ from recast.splats.gaussians import Gaussians, concatenate, morton_order
 from recast.splats.low_pass import CLASSIC, MIP, LowPass, refiltered
 from recast.splats.native import set_threads
 from recast.splats.ply import read_ply, write_ply
-from recast.splats.rasterization import RasterImages, Rasterization, RasterMeta
+from recast.splats.rasterization import RasterImages, Rasterization, RasterMeta, Window
 from recast.splats.rasterize import rasterize, rasterize_frozen
 
 __all__ = [
@@ -20,6 +20,7 @@ __all__ = [
     "RasterMeta",
     "Rasterization",
     "RowAdam",
+    "Window",
     "concatenate",
     "freeze",
     "morton_order",

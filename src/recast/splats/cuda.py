@@ -102,7 +102,8 @@ def rasterize_gsplat(
     float32. As in the CPU kernel depth is the sum of T alpha z and gradients of projected centres
     are per pixel, absolute ones too; they reach `meta` if it is still held when the backward pass
     runs. `meta.visible` may have a few rows more, at the image's rim or between pixel centres, for
-    gsplat rounds bounding boxes up; their gradients are zero.
+    gsplat rounds bounding boxes up; their gradients are zero. Of a window, it is that of the whole
+    image.
 
     Raises:
         InputError: gsplat is missing.
@@ -142,7 +143,10 @@ def rasterize_gsplat(
         rasterize_mode="antialiased" if settings.antialiased else "classic",
     )
     meta = _meta(found["radii"][0], found["means2d"], settings.absgrad)
-    return Rasterization(images[0, ..., :3], images[0, ..., 3], alphas[0, ..., 0], meta)
+    # gsplat ties the limit of the projected tangent to the size that it draws: the whole is drawn.
+    left, top, right, bottom = settings.drawn
+    image, alpha = images[0, top:bottom, left:right], alphas[0, top:bottom, left:right, 0]
+    return Rasterization(image[..., :3], image[..., 3], alpha, meta)
 
 
 def _meta(radii: Tensor, means2d: Tensor, absgrad: bool) -> RasterMeta:
@@ -183,7 +187,8 @@ def _nothing(
     means: Tensor, pose: Tensor, settings: RasterSettings, background: Tensor | None
 ) -> Rasterization:
     """The image of no Gaussians, which gsplat does not take; a backward pass finds zeros."""
-    plane = means.new_zeros(settings.height, settings.width) + means.sum() + 0 * pose.sum()
+    left, top, right, bottom = settings.drawn
+    plane = means.new_zeros(bottom - top, right - left) + means.sum() + 0 * pose.sum()
     rgb = plane[..., None].repeat(1, 1, 3)
     if background is not None:
         rgb = rgb + background.to(means)

@@ -25,6 +25,10 @@ TANGENT_MARGIN = 0.3
 """The Jacobian is taken no farther outside the image than this part of the half field of view."""
 
 
+Window = tuple[int, int, int, int]
+"""Left, top, right and bottom edge of a part of an image, pixels."""
+
+
 @dataclass
 class RasterMeta:
     """Per-Gaussian facts of one rasterization, for densification and sparse optimisers.
@@ -33,7 +37,7 @@ class RasterMeta:
         visible: (N,) bool, touched the image.
         radii: (N,) float32, half the longer edge of the bounding box, pixels, rounded up; 0 where
             not visible.
-        means2d: (N, 2) projected centres, pixels; 0 where not visible.
+        means2d: (N, 2) projected centres, pixels of the whole image; 0 where not visible.
         means2d_grad: (N, 2) d loss / d means2d, per pixel; None before the backward pass.
         means2d_absgrad: (N, 2) likewise, but the sizes of what the pixels contribute added up, each
             component by itself (AbsGS); None where it was not asked for.
@@ -70,7 +74,13 @@ class Rasterization(RasterImages):
 
 @dataclass(frozen=True)
 class RasterSettings:
-    """The numbers of one view besides poses and Gaussians; raises ValueError for one at fault."""
+    """The numbers of one view besides poses and Gaussians; raises ValueError for one at fault.
+
+    Attributes:
+        width, height: size of the whole image.
+        window: the part of it that is drawn; None for all of it.
+        others: as of `rasterize`.
+    """
 
     fx: float
     fy: float
@@ -84,10 +94,20 @@ class RasterSettings:
     antialiased: bool
     max_alpha: float
     absgrad: bool = False
+    window: Window | None = None
+
+    @property
+    def drawn(self) -> Window:
+        """The part of the whole image that is drawn."""
+        return (0, 0, self.width, self.height) if self.window is None else self.window
 
     def __post_init__(self) -> None:
         if not (0 < self.width <= 65536 and 0 < self.height <= 65536):
             raise ValueError(f"rasterize: image of {self.width}x{self.height} pixels")
+        left, top, right, bottom = self.drawn
+        if not (0 <= left < right <= self.width and 0 <= top < bottom <= self.height):
+            size = f"{self.width}x{self.height}"
+            raise ValueError(f"rasterize: window {self.drawn} is not a part of {size} pixels")
         if not 0 < self.near < self.far:
             near_and_far = f"near {self.near} and far {self.far}"
             raise ValueError(f"rasterize: {near_and_far}, expected 0 < near < far")

@@ -19,6 +19,7 @@ from recast.splats.native.rasterizer import rasterize_native, rasterize_tables
 from recast.splats.rasterization import (
     RasterImages,
     Rasterization,
+    Window,
     check_pose,
     check_settings,
     check_shapes,
@@ -46,6 +47,7 @@ def rasterize(
     antialiased: bool = False,
     max_alpha: float | None = None,
     absgrad: bool = False,
+    window: Window | None = None,
     backend: Backend = "auto",
 ) -> Rasterization:
     """Render Gaussians by sorted alpha compositing; differentiable.
@@ -60,8 +62,8 @@ def rasterize(
             given there; pose and background may lie on the CPU all the same.
         camera_from_world: (4, 4) rigid, OpenCV axes (x right, y down, z forward).
         K: (3, 3) pinhole intrinsics in pixels, without skew. Not differentiated.
-        width: image width, pixels.
-        height: image height, pixels.
+        width: width of the whole image, pixels.
+        height: height of the whole image, pixels.
         background: (3,) colour behind everything; black when None.
         near: Gaussians with centres nearer than this are not drawn, metres.
         far: likewise beyond this.
@@ -72,6 +74,8 @@ def rasterize(
             CUDA what gsplat has built in (`cuda.max_alpha`: 0.999 in 1.5.3), the only one it takes.
         absgrad: give `meta.means2d_absgrad` as well (Ye et al. 2024, AbsGS): in the plain gradient
             pixels that pull a Gaussian in opposite directions cancel.
+        window: the part of the image to draw; None for all of it. `K`, `width` and `height` stay
+            those of the whole image, and the pixels are those that it has there.
         backend: "native" the compiled kernel (float32, CPU), "gsplat" the package of that name
             (float32, CUDA), "reference" plain torch in the dtype of the Gaussians (CPU), "auto"
             gsplat on CUDA, on the CPU the kernel where it is there.
@@ -102,6 +106,7 @@ def rasterize(
         antialiased=antialiased,
         max_alpha=max_alpha,
         absgrad=absgrad,
+        window=window,
     )
     if backend == "gsplat":
         return rasterize_gsplat(gaussians, camera_from_world, settings, background)
@@ -121,6 +126,7 @@ def rasterize_frozen(
     near: float = 0.2,
     far: float = 1e10,
     max_alpha: float | None = None,
+    window: Window | None = None,
     backend: Backend = "auto",
 ) -> RasterImages:
     """Render frozen Gaussians, each part where its pose puts it; not differentiable.
@@ -159,6 +165,7 @@ def rasterize_frozen(
                 eps2d=drawn_by.variance,
                 antialiased=drawn_by.antialiased,
                 max_alpha=max_alpha,
+                window=window,
                 backend=backend,
             )
     settings = check_settings(
@@ -172,6 +179,7 @@ def rasterize_frozen(
         eps2d=CLASSIC.variance,  # each part has its own
         antialiased=CLASSIC.antialiased,
         max_alpha=MAX_ALPHA if max_alpha is None else max_alpha,
+        window=window,
     )
     tables: list[tuple[FrozenTables, LowPass, Tensor]] = []
     for part, world_from_part in parts:

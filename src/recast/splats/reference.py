@@ -74,10 +74,15 @@ def rasterize_reference(
         splats.means2d.register_hook(keep_gradient)
 
     rows = []
-    for top in range(0, settings.height, TILE):
-        row = [tile(splats, left, top, settings, sizes) for left in range(0, settings.width, TILE)]
+    # Tiles of the whole image: a pixel is the same sum in every window.
+    left, top, right, bottom = settings.drawn
+    first_x, first_y = left // TILE * TILE, top // TILE * TILE
+    for y in range(first_y, bottom, TILE):
+        row = [tile(splats, x, y, settings, sizes) for x in range(first_x, right, TILE)]
         rows.append(torch.cat(row, dim=1))
-    image = torch.cat(rows, dim=0)
+    image = torch.cat(rows, dim=0)[
+        top - first_y : bottom - first_y, left - first_x : right - first_x
+    ]
     rgb, depth, alpha = image[..., :3], image[..., 3], image[..., 4]
     if background is not None:
         rgb = rgb + (1 - alpha[..., None]) * background.to(rgb)
@@ -159,9 +164,9 @@ def _visible(gaussians: Gaussians, camera_from_world: Tensor, settings: RasterSe
     image = _project(gaussians.select(ids), camera_from_world, settings)
     extents = _extents(image)
     low, high = image.means2d - extents, image.means2d + extents
-    size = torch.tensor([settings.width, settings.height], dtype=low.dtype)
-    # Pixel centres are at 0.5 .. size - 0.5.
-    inside = ((high > 0.5) & (low < size - 0.5)).all(dim=1)
+    begin, end = torch.tensor(settings.drawn, dtype=low.dtype).unflatten(0, (2, 2))
+    # Pixel centres are at begin + 0.5 .. end - 0.5.
+    inside = ((high > begin + 0.5) & (low < end - 0.5)).all(dim=1)
     sized = (image.determinant > 0) & (image.determinant < LARGEST_DETERMINANT)
     kept = (inside & sized & (image.opacities >= ALPHA_THRESHOLD)).nonzero()[:, 0]
     return ids[kept[image.depths[kept].argsort(stable=True)]]

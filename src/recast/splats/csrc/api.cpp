@@ -23,7 +23,7 @@ extern const Kernels kernels_avx512;
 
 namespace {
 
-constexpr int kAbi = 5;
+constexpr int kAbi = 6;
 
 // Best first.
 int available(const Kernels** out) {
@@ -90,7 +90,8 @@ RECAST_EXPORT void recast_destroy(Context* c) { delete c; }
 // What crosses the border: laid out like the ctypes structures in kernel.py.
 struct RecastView {
   int64_t count;
-  int32_t sh_bases, width, height, antialiased, training, most_at_once;
+  int32_t sh_bases, width, height, left, top, whole_width, whole_height;
+  int32_t antialiased, training, most_at_once;
   float near_plane, far_plane, eps2d, max_alpha;
   float fx, fy, cx, cy;
   float rotation[9], translation[3], background[3], pad;
@@ -114,6 +115,10 @@ static Frame frame_of(const RecastView* v) {
   f.sh_bases = v->sh_bases;
   f.width = v->width;
   f.height = v->height;
+  f.left = v->left;
+  f.top = v->top;
+  f.whole_width = v->whole_width;
+  f.whole_height = v->whole_height;
   f.antialiased = v->antialiased;
   f.training = v->training;
   f.near_plane = v->near_plane;

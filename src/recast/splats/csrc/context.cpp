@@ -41,8 +41,10 @@ float* zeros(Buffer<float>& buffer, int64_t count) {
 
 int Context::forward(const Kernels& kernels, Frame f, int64_t* fault_row) {
   const int64_t chunks = chunk_count(f);
-  f.tiles_x = (f.width + kTile - 1) / kTile;
-  f.tiles_y = (f.height + kTile - 1) / kTile;
+  f.first_tile_x = f.left / kTile;
+  f.first_tile_y = f.top / kTile;
+  f.tiles_x = (f.left + f.width + kTile - 1) / kTile - f.first_tile_x;
+  f.tiles_y = (f.top + f.height + kTile - 1) / kTile - f.first_tile_y;
   const int64_t tiles = tile_count(f);
   double start = cpu_milliseconds();
   const auto add = [&](Stage stage) {

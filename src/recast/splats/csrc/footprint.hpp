@@ -42,12 +42,13 @@ static inline void find_footprints(const Frame& f, const Projection& o, vf exten
                                    vf log2_opacity, uint32_t visible, Footprints& out) {
   // Pixels whose centres lie in the box, with a little slack for rounding.
   alignas(64) int32_t x0[W], x1[W], y0[W], y1[W];
-  const vf slack = 0.01f, zero = 0.0f, one = 1.0f, minus = -1.0f;
-  const vf size_x = float(f.width), size_y = float(f.height);
-  store(x0, round_to_int(vmin(vmax(o.x - extent_x - slack, zero), size_x)));
-  store(x1, round_to_int(vmax(vmin(o.x + extent_x + slack, size_x) - one, minus)));
-  store(y0, round_to_int(vmin(vmax(o.y - extent_y - slack, zero), size_y)));
-  store(y1, round_to_int(vmax(vmin(o.y + extent_y + slack, size_y) - one, minus)));
+  const vf slack = 0.01f, one = 1.0f;
+  const vf left = float(f.left), right = float(f.left + f.width);
+  const vf above = float(f.top), below = float(f.top + f.height);
+  store(x0, round_to_int(vmin(vmax(o.x - extent_x - slack, left), right)));
+  store(x1, round_to_int(vmax(vmin(o.x + extent_x + slack, right), left) - one));
+  store(y0, round_to_int(vmin(vmax(o.y - extent_y - slack, above), below)));
+  store(y1, round_to_int(vmax(vmin(o.y + extent_y + slack, below), above) - one));
   alignas(64) float x[W], y[W];
   TileTest test;
   store(x, o.x);
@@ -74,7 +75,8 @@ static inline void find_footprints(const Frame& f, const Projection& o, vf exten
         mask &= test(i, float(tx * kTile) + 0.5f - x[i], float(ty * kTile) + 0.5f - y[i]);
       out.tiles[i] = uint32_t(__builtin_popcount(mask));
     }
-    out.print[i] = Footprint(tx) << 52 | Footprint(ty) << 40 | Footprint(w) << 28 |
+    out.print[i] = Footprint(tx - uint32_t(f.first_tile_x)) << 52 |
+                   Footprint(ty - uint32_t(f.first_tile_y)) << 40 | Footprint(w) << 28 |
                    Footprint(h) << 16 | mask;
   }
 }

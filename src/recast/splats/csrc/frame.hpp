@@ -91,8 +91,13 @@ struct Frame {
   // Inputs.
   int64_t count;
   int32_t sh_bases;  // 1, 4, 9 or 16
-  int32_t width, height;
+  int32_t width, height;    // of the images: the window of the whole image that is drawn
+  int32_t left, top;        // corner of the window
+  int32_t whole_width, whole_height;
+  // Tiles that the window touches. They are tiles of the whole image, so that a pixel is the same sum
+  // in every window.
   int32_t tiles_x, tiles_y;
+  int32_t first_tile_x, first_tile_y;
   int32_t antialiased;
   int32_t training;
   int32_t folded;           // records are sums of all tiles, one a place

@@ -74,10 +74,12 @@ static inline void to_image(const Frame& f, const vf* mean, Projection& o) {
   o.x = fma(vf(f.fx), slope_x, vf(f.cx));
   o.y = fma(vf(f.fy), slope_y, vf(f.cy));
 
-  const float margin_x = kTangentMargin * 0.5f * float(f.width) / f.fx;
-  const float margin_y = kTangentMargin * 0.5f * float(f.height) / f.fy;
-  const vf left = -(f.cx / f.fx + margin_x), right = (float(f.width) - f.cx) / f.fx + margin_x;
-  const vf top = -(f.cy / f.fy + margin_y), bottom = (float(f.height) - f.cy) / f.fy + margin_y;
+  // The limit is that of the whole image: in a window of it a Gaussian is the same.
+  const float width = float(f.whole_width), height = float(f.whole_height);
+  const float margin_x = kTangentMargin * 0.5f * width / f.fx;
+  const float margin_y = kTangentMargin * 0.5f * height / f.fy;
+  const vf left = -(f.cx / f.fx + margin_x), right = (width - f.cx) / f.fx + margin_x;
+  const vf top = -(f.cy / f.fy + margin_y), bottom = (height - f.cy) / f.fy + margin_y;
   o.clamped_x = (slope_x < left) | (slope_x > right);
   o.clamped_y = (slope_y < top) | (slope_y > bottom);
   const vf held_x = vmin(vmax(slope_x, left), right), held_y = vmin(vmax(slope_y, top), bottom);

@@ -23,15 +23,18 @@ bool out_of_view(const Frame& f, const Part& part, const float* bounds) {
   if (c[2] + radius < f.near_plane || c[2] - radius > f.far_plane) return true;
   const float blur = kMostDeviations * __builtin_sqrtf(f.eps2d) + 0.5f;
   const float focal[2] = {f.fx, f.fy}, centre[2] = {f.cx, f.cy};
+  const float whole[2] = {float(f.whole_width), float(f.whole_height)};
+  const float begin[2] = {float(f.left), float(f.top)};
   const float size[2] = {float(f.width), float(f.height)};
   for (int i = 0; i < 2; ++i) {
-    const float margin = kTangentMargin * 0.5f * size[i] / focal[i];
+    const float margin = kTangentMargin * 0.5f * whole[i] / focal[i];
     const float low = centre[i] / focal[i] + margin;
-    const float high = (size[i] - centre[i]) / focal[i] + margin;
+    const float high = (whole[i] - centre[i]) / focal[i] + margin;
     const float slope = __builtin_fabsf(low) > __builtin_fabsf(high) ? low : high;
     const float reach = focal[i] * scale * __builtin_sqrtf(1.0f + slope * slope);
     // Pixel times z, from the first and from the last column or row on.
-    const float before = centre[i] + blur, after = size[i] - centre[i] + blur;
+    const float before = centre[i] - begin[i] + blur;
+    const float after = begin[i] + size[i] - centre[i] + blur;
     const float left = focal[i] * c[i] + before * c[2];
     const float right = after * c[2] - focal[i] * c[i];
     const float far_left = radius * __builtin_sqrtf(focal[i] * focal[i] + before * before);

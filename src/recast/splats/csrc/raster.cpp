@@ -9,7 +9,7 @@ namespace {
 struct State {
   alignas(64) float r[kTilePixels], g[kTilePixels], b[kTilePixels], depth[kTilePixels];
   alignas(64) float through[kTilePixels];  // transmittance
-  // The same while the pixel is open; zero once it has stopped and outside of the image, so that no
+  // The same while the pixel is open; zero once it has stopped and outside of the window, so that no
   // branch is needed, which no machine could foresee.
   alignas(64) float open[kTilePixels];
 };
@@ -78,19 +78,16 @@ void write_images(const Frame& f, const Tile& t, State& s) {
     store(s.b + i, fma(through, vf(f.background[2]), load(s.b + i)));
     store(s.open + i, one - through);
   }
-  for (int y = 0; y < t.height; ++y) {
-    const int64_t row = int64_t(t.y + y) * f.width + t.x;
-    for (int x = 0; x < t.width; x += kBlockWidth) {
-      const int at = block_offset(y, x / kBlockWidth);
-      const int n = t.width - x < kBlockWidth ? t.width - x : kBlockWidth;
-      alignas(16) float part[3 * kBlockWidth];
-      float* rgb = f.rgb + 3 * (row + x);
-      store_pixels(n == kBlockWidth ? rgb : part, s.r + at, s.g + at, s.b + at);
-      if (n < kBlockWidth) __builtin_memcpy(rgb, part, size_t(3 * n) * sizeof(float));
-      __builtin_memcpy(f.depth + row + x, s.depth + at, size_t(n) * sizeof(float));
-      __builtin_memcpy(f.alpha + row + x, s.open + at, size_t(n) * sizeof(float));
-    }
-  }
+  for_each_run(t, [&](int y, int x, int first, int end) {
+    const int at = block_offset(y, x / kBlockWidth), skip = first - x, n = end - first;
+    const int64_t pixel = image_row(f, t, y) + first;
+    alignas(16) float part[3 * kBlockWidth];
+    float* rgb = f.rgb + 3 * pixel;
+    store_pixels(n == kBlockWidth ? rgb : part, s.r + at, s.g + at, s.b + at);
+    if (n < kBlockWidth) __builtin_memcpy(rgb, part + 3 * skip, size_t(3 * n) * sizeof(float));
+    __builtin_memcpy(f.depth + pixel, s.depth + at + skip, size_t(n) * sizeof(float));
+    __builtin_memcpy(f.alpha + pixel, s.open + at + skip, size_t(n) * sizeof(float));
+  });
 }
 
 }  // namespace
@@ -102,11 +99,10 @@ void raster_tile(const Frame& f, int64_t index) {
   Touched touched;
   __builtin_memset(&state, 0, sizeof state);
   for (int i = 0; i < kTilePixels; i += W) store(state.through + i, vf(1.0f));
-  for (int y = 0; y < t.height; ++y)
-    for (int column = 0; column < kBlockColumns; ++column)
-      for (int i = 0; i < kBlockWidth; ++i)
-        if (column * kBlockWidth + i < t.width)
-          state.open[block_offset(y, column) + i] = 1.0f;
+  for_each_run(t, [&](int y, int x, int first, int end) {
+    for (int i = first; i < end; ++i)
+      state.open[block_offset(y, x / kBlockWidth) + i - x] = 1.0f;
+  });
 
   uint32_t alive = blocks_inside(t);
   for (uint32_t begin = t.begin; begin < t.end && alive; begin += kBatch) {

@@ -20,17 +20,14 @@ struct Pixels {
   alignas(64) float rest[kTilePixels];  // part of the loss still to come
 };
 
-// Copies an image of `channels` interleaved channels into block order; zero outside of the image.
+// Copies an image of `channels` interleaved channels into block order; zero outside of the window.
 void load_plane(const Frame& f, const Tile& t, const float* image, int channels, float* out) {
   if (!image) return;
-  for (int y = 0; y < t.height; ++y) {
-    const float* row = image + (int64_t(t.y + y) * f.width + t.x) * channels;
-    for (int x = 0; x < t.width; x += kBlockWidth) {
-      float* to = out + block_offset(y, x / kBlockWidth);
-      const int n = t.width - x < kBlockWidth ? t.width - x : kBlockWidth;
-      for (int i = 0; i < n; ++i) to[i] = row[(x + i) * channels];
-    }
-  }
+  for_each_run(t, [&](int y, int x, int first, int end) {
+    float* to = out + block_offset(y, x / kBlockWidth) - x;
+    const int64_t row = image_row(f, t, y);
+    for (int i = first; i < end; ++i) to[i] = image[(row + i) * channels];
+  });
 }
 
 void load_pixels(const Frame& f, const Tile& t, int64_t index, Pixels& p) {
@@ -41,7 +38,7 @@ void load_pixels(const Frame& f, const Tile& t, int64_t index, Pixels& p) {
       const int at = block_offset(y, x / kBlockWidth) + x % kBlockWidth;
       p.x[at] = float(x) + 0.5f;
       p.y[at] = float(y) + 0.5f;
-      p.open[at] = x < t.width && y < t.height ? 1.0f : 0.0f;
+      p.open[at] = x >= t.x0 && x < t.x1 && y >= t.y0 && y < t.y1 ? 1.0f : 0.0f;
     }
   const float* rgb = f.rgb_grad;
   load_plane(f, t, rgb, 3, p.r);

@@ -21,28 +21,46 @@ static inline int block_offset(int y, int column) {
 }
 
 struct Tile {
-  int x, y;            // corner, pixels
-  int width, height;   // inside the image
+  int x, y;            // corner, pixels of the whole image
+  int x0, y0, x1, y1;  // pixels of the tile inside of the window, from its corner; ends excluded
   uint32_t begin, end; // intersections
 };
 
 static inline Tile tile_at(const Frame& f, int64_t index) {
   Tile t;
-  t.x = int(index % f.tiles_x) * kTile;
-  t.y = int(index / f.tiles_x) * kTile;
-  t.width = f.width - t.x < kTile ? f.width - t.x : kTile;
-  t.height = f.height - t.y < kTile ? f.height - t.y : kTile;
+  t.x = (int(index % f.tiles_x) + f.first_tile_x) * kTile;
+  t.y = (int(index / f.tiles_x) + f.first_tile_y) * kTile;
+  const int right = f.left + f.width - t.x, below = f.top + f.height - t.y;
+  t.x0 = f.left > t.x ? f.left - t.x : 0;
+  t.y0 = f.top > t.y ? f.top - t.y : 0;
+  t.x1 = right < kTile ? right : kTile;
+  t.y1 = below < kTile ? below : kTile;
   t.begin = f.tile_begin[index];
   t.end = f.tile_begin[index + 1];
   return t;
 }
 
-// One bit a block that has a pixel inside the image.
+// Where pixel (0, y) of a tile lies in the images, which hold the window alone.
+static inline int64_t image_row(const Frame& f, const Tile& t, int y) {
+  return int64_t(t.y + y - f.top) * f.width + t.x - f.left;
+}
+
+// Calls `visit(y, x, first, end)` for each block's row of pixels x .. x + kBlockWidth - 1 that meets
+// the window, which holds pixels first .. end - 1 of it.
+template <typename Visit>
+static inline void for_each_run(const Tile& t, Visit visit) {
+  for (int y = t.y0; y < t.y1; ++y)
+    for (int x = t.x0 / kBlockWidth * kBlockWidth; x < t.x1; x += kBlockWidth)
+      visit(y, x, x < t.x0 ? t.x0 : x, x + kBlockWidth < t.x1 ? x + kBlockWidth : t.x1);
+}
+
+// One bit a block that has a pixel inside the window.
 static inline uint32_t blocks_inside(const Tile& t) {
   uint32_t mask = 0;
   for (int j = 0; j < kBlockRows; ++j)
     for (int i = 0; i < kBlockColumns; ++i)
-      if (i * kBlockWidth < t.width && j * kBlockHeight < t.height)
+      if (i * kBlockWidth < t.x1 && (i + 1) * kBlockWidth > t.x0 && j * kBlockHeight < t.y1 &&
+          (j + 1) * kBlockHeight > t.y0)
         mask |= 1u << (j * kBlockColumns + i);
   return mask;
 }

@@ -20,14 +20,15 @@ static inline void find_visible(const Frame& f, const Projection& o, vm opaque, 
   const vf reach = log2_opacity - vf(kLog2AlphaThreshold);
   const vf spread = vmax(reach, vf(0.0f)) * vf(1.38629436f);
   const vf extent_x = vsqrt(spread * o.xx), extent_y = vsqrt(spread * o.yy);
-  const vf size_x = float(f.width), size_y = float(f.height), half = 0.5f;
+  const vf left = float(f.left) + 0.5f, right = float(f.left + f.width) - 0.5f;
+  const vf above = float(f.top) + 0.5f, below = float(f.top + f.height) - 0.5f;
   seen.log2_opacity = log2_opacity;
   seen.extent_x = extent_x;
   seen.extent_y = extent_y;
   seen.mask = (o.point[2] >= vf(f.near_plane)) & (o.point[2] <= vf(f.far_plane)) & opaque &
               (o.det > vf(0.0f)) & (o.det < vf(kLargestDeterminant)) &
-              (o.x + extent_x > half) & (o.x - extent_x < size_x - half) &
-              (o.y + extent_y > half) & (o.y - extent_y < size_y - half);
+              (o.x + extent_x > left) & (o.x - extent_x < right) &
+              (o.y + extent_y > above) & (o.y - extent_y < below);
   seen.lanes = bits(seen.mask) & valid;
 }
 

@@ -129,7 +129,8 @@ def rasterize_tables(
 
 
 def _images(settings: RasterSettings) -> tuple[Tensor, Tensor, Tensor]:
-    height, width = settings.height, settings.width
+    left, top, right, bottom = settings.drawn
+    height, width = bottom - top, right - left
     return empty(height, width, 3), empty(height, width), empty(height, width)
 
 
@@ -143,9 +144,14 @@ def _view(
     settings: RasterSettings, background: Tensor | None, images: tuple[Tensor, Tensor, Tensor]
 ) -> View:
     rgb, depth, alpha = images
+    left, top, right, bottom = settings.drawn
     return View(
-        width=settings.width,
-        height=settings.height,
+        width=right - left,
+        height=bottom - top,
+        left=left,
+        top=top,
+        whole_width=settings.width,
+        whole_height=settings.height,
         antialiased=settings.antialiased,
         most_at_once=MOST_AT_ONCE,
         near=settings.near,
