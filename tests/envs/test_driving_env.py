@@ -322,3 +322,17 @@ def test_without_gymnasium_the_line_says_what_to_install() -> None:
     assert last.endswith(
         "InputError: recast.envs: gymnasium: is not installed; pip install 'recast-sim[env]'"
     )
+
+
+def test_the_default_action_passes_gymnasium_s_check_and_frames_follow_the_steps() -> None:
+    env = DrivingEnv(drive(), actors={"7": "cut-in-a"}, steps=10, plan_every=2)
+    assert env.metadata["render_fps"] == pytest.approx(5.0)
+    env.reset(seed=0)
+    over, info = False, {}
+    while not over:
+        _, _, terminated, truncated, info = env.step(env.action_space.sample() * 0)
+        over = terminated or truncated
+    assert info["metrics"] and all(np.isfinite(v) for v in info["metrics"].values())
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        check_env(env, skip_render_check=True)

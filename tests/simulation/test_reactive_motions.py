@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from synthetic_drives import drive
 
 from recast.core.errors import InputError
+from recast.evaluation.collision import constant_velocity_future
 from recast.geometry import boxes, se2
 from recast.logs.types import DrivingLog, Track, Trajectory
 from recast.planning import ActorState, ConstantVelocity, IdmLaneFollower, LogReplay, ReferenceRoute
@@ -26,6 +27,9 @@ from recast.simulation import (
     run_rollout,
 )
 from recast.simulation import LogReplay as Replay
+from recast.simulation.actor_motion import Scripted
+from recast.simulation.actors import ControlledActors
+from recast.simulation.rollout_start import start_rollout
 
 DT = 0.1
 
@@ -308,3 +312,57 @@ def test_a_motion_that_returns_no_state_is_one_line(value: object, message: str,
 def test_parameters_out_of_range(arguments: dict[str, float], message: str) -> None:
     with pytest.raises(ValueError, match=message):
         Idm("a", **arguments)
+
+
+@dataclass(frozen=True)
+class Moving(Scripted):
+    """Moves at 4 m/s by another angle than it faces."""
+
+    angle: float
+    setting: str = "a"
+    name: str = "moving"
+
+    def script(self, start: StartSituation, steps: int, dt: float) -> NDArray:
+        states = np.zeros((steps + 1, 4))
+        states[:, 0], states[:, 1], states[:, 3] = 60.0, 6.0, 4.0
+        along = 4.0 * dt * np.arange(steps + 1)
+        states[:, :2] += along[:, None] * [np.cos(self.angle), np.sin(self.angle)]
+        states[7, 2] = np.pi - 0.01  # a label that is turned around
+        return states
+
+
+@pytest.mark.parametrize("angle", [0.0, np.pi, np.pi / 2])
+def test_velocities_are_those_of_the_motion_whatever_the_heading(angle: float) -> None:
+    seen: list[NDArray] = []
+
+    class Watching(ConstantVelocity):
+        def plan(self, observation):  # type: ignore[no-untyped-def]
+            seen.append(observation.actors[0].velocity)
+            return super().plan(observation)
+
+    setup = RolloutSetup(drive(), "7", Moving(angle), steps=20, plan_every=1)
+    rollout = run_rollout(setup, Watching())
+    wanted = 4.0 * np.array([np.cos(angle), np.sin(angle)])
+    np.testing.assert_allclose(seen, np.tile(wanted, (20, 1)), atol=1e-9)
+    future = constant_velocity_future(rollout.actor, [3], DT)[0]
+    np.testing.assert_allclose((future[1] - future[0])[:2] / DT, wanted, atol=1e-9)
+
+
+def test_reacting_actors_project_the_road_users_once_each(monkeypatch: pytest.MonkeyPatch) -> None:
+    calls = []
+    project = ReferenceRoute.project
+
+    def counted(self: ReferenceRoute, *points: object) -> object:
+        calls.append(points)
+        return project(self, *points)
+
+    log = drive()
+    for number in range(8):
+        log = with_track(log, f"c{number}", line((20.0 + 12.0 * number, 3.5, 0.0), 5.0))
+    others = {f"c{number}": Idm("a") for number in range(1, 8)}
+    setup = RolloutSetup(log, "c0", Idm("a"), steps=10, actors=others)
+    actors = ControlledActors(setup, start_rollout(setup))
+    monkeypatch.setattr(ReferenceRoute, "project", counted)
+    actors.advance(start_rollout(setup).first)
+    own = [one for one in calls if np.shape(one[0])[-2:] == (9, 2)]
+    assert len(own) == 8 and np.shape(own[0][0]) == (9, 9, 2)

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import warnings
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -19,6 +20,7 @@ from recast.planning import (
     Plan,
     PlannerInput,
     PlanningContext,
+    View,
 )
 from recast.simulation import (
     MOTIONS,
@@ -433,3 +435,84 @@ def test_a_start_beside_the_logged_one_moves_the_ego_and_its_past_alone() -> Non
 def test_a_start_that_is_nowhere_is_refused() -> None:
     with pytest.raises(InputError, match="start_left"):
         RolloutSetup(drive(), "7", MOTIONS["cut-in-a"], start_left=float("nan"))
+
+
+class Looking(Recorder):
+    """Looks at the middle of the front camera, and plans by what it sees."""
+
+    def __init__(self) -> None:
+        super().__init__(needs_images=True)
+        self.wanted_views = (View("front", MOUNTS["front"].camera, 0.0, 1, 2),)
+
+    def choose_cameras(self, mounts: Mapping[str, CameraMount]) -> dict[str, str]:
+        return {"front": "front"}
+
+    def plan(self, observation: PlannerInput) -> Plan:
+        plan = super().plan(observation)
+        return Plan(plan.waypoints * (1 + observation.images["front"].sum() / 1e5))
+
+
+class Stepwise(NullRenderer):
+    """Other pixels in each step, over the whole image."""
+
+    def render(self, state: SimState, camera_names: object) -> dict[str, NDArray[np.uint8]]:
+        images = super().render(state, camera_names)
+        return {name: image + np.uint8(state.step % 7 + 1) for name, image in images.items()}
+
+
+def test_a_film_changes_neither_what_is_seen_nor_what_is_driven() -> None:
+    setup = RolloutSetup(drive(), "7", MOTIONS["cut-in-a"], steps=20, camera_names=tuple(MOUNTS))
+    frames: list[int] = []
+    rollouts, seen = [], []
+    for film in (None, lambda state, images: frames.append(len(images))):
+        planner = Looking()
+        rollouts.append(run_rollout(setup, planner, Stepwise(MOUNTS), film))
+        seen.append(np.array([one.images["front"] for one in planner.seen]))
+        assert planner.context is not None
+        assert planner.context.cameras["front"].window == (2, 1, 6, 3)
+    assert frames == [2] * 20
+    np.testing.assert_array_equal(*seen)
+    assert not seen[0][:, 0].any() and seen[0][:, 1, 2].all()
+    np.testing.assert_array_equal(rollouts[0].ego, rollouts[1].ego)
+
+
+def test_the_replay_of_a_log_is_the_log() -> None:
+    setup = RolloutSetup(drive(12.0, curvature=0.01), "7", MOTIONS["advancing-a"], steps=60)
+    rollout = run_rollout(setup, LogReplay())
+    times = rollout.start_timestamp_us + 100_000 * np.arange(61)
+    logged = se2.from_se3(setup.log.world_from_rig.at(times))
+    np.testing.assert_allclose(rollout.ego[:, :3], logged, atol=1e-9)
+    np.testing.assert_allclose(rollout.ego[:, 3], 12.0, atol=0.01)
+
+
+class Elsewhere(ConstantVelocity):
+    """Plans in the world's frame, or at another time step."""
+
+    def __init__(self, shift: float, stretch: float) -> None:
+        super().__init__()
+        self.shift, self.stretch = shift, stretch
+
+    def plan(self, observation: PlannerInput) -> Plan:
+        return Plan(super().plan(observation).waypoints * self.stretch + [self.shift, 0.0, 0.0])
+
+
+@pytest.mark.parametrize(("shift", "stretch", "told"), [(0, 1, 0), (500, 1, 1), (0, 5, 1)])
+def test_a_plan_out_of_reach_is_told_once(shift: float, stretch: float, told: int) -> None:
+    setup = RolloutSetup(
+        drive(), "7", MOTIONS["cut-in-a"], steps=10, controller=HeldStraight()
+    )  # fmt: skip
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        run_rollout(setup, Elsewhere(shift, stretch))
+    assert [str(w.message).startswith("planner constant-velocity: the first") for w in caught] == (
+        [True] * told
+    )
+
+
+class HeldStraight(PerfectController):
+    """Drives straight on, whatever the plan says."""
+
+    def execute(self, state, waypoints, steps, vehicle, dt):  # type: ignore[no-untyped-def]
+        ahead = np.zeros((40, 3))
+        ahead[:, 0] = state[3] * dt * np.arange(1, 41)
+        return super().execute(state, ahead, steps, vehicle, dt)

@@ -9,7 +9,14 @@ from recast.dynamics.idm import (
     idm_step,
 )
 from recast.dynamics.profiles import Profile, ProfileWeights, fit_profile
-from recast.dynamics.state import PACIFICA, EgoState, VehicleParameters, initial_state, make_state
+from recast.dynamics.state import (
+    PACIFICA,
+    EgoState,
+    VehicleParameters,
+    ground_velocities,
+    initial_state,
+    make_state,
+)
 from recast.dynamics.tracker import (
     PRESETS,
     BicycleModel,
@@ -36,6 +43,7 @@ __all__ = [
     "follow_perfectly",
     "free_road_acceleration",
     "free_road_step",
+    "ground_velocities",
     "idm_acceleration",
     "idm_step",
     "initial_state",

@@ -42,6 +42,8 @@ COLUMNS = (
 left; the angular velocity is the yaw rate."""
 SIZE = len(COLUMNS)
 
+_STANDS = 1e-6
+"""Metres a step up to which a vehicle stands: what rounding leaves of a position."""
 _CRAWL = 0.5
 """Speed in m/s below which steering cannot be told from the yaw rate."""
 
@@ -115,6 +117,23 @@ def moved_left(states: Array, metres: float) -> Array:
     moved[..., X] -= metres * np.sin(states[..., HEADING])
     moved[..., Y] += metres * np.cos(states[..., HEADING])
     return moved
+
+
+def ground_velocities(states: ArrayLike) -> Array:
+    """Velocities (T, 2) in the world, m/s, of states (T, >=4): x, y, heading, speed >= 0.
+
+    The direction is that of the difference of the positions before and after, at the ends of the
+    one neighbour: a vehicle may reverse, slide, or have a wrong heading. Where it does not move it
+    is the heading.
+    """
+    states = np.asarray(states, np.float64)
+    heading = states[:, 2]
+    direction = np.stack([np.cos(heading), np.sin(heading)], axis=-1)
+    if len(states) > 1:
+        moved = np.gradient(states[:, :2], axis=0)
+        length = np.linalg.norm(moved, axis=1, keepdims=True)
+        direction = np.where(length > _STANDS, moved / np.maximum(length, _STANDS), direction)
+    return direction * states[:, 3:4]
 
 
 def initial_state(

@@ -110,6 +110,8 @@ class DrivingEnv(gymnasium.Env[dict[str, Any], NDArray[np.float32]]):
         self._region = drivable_region(setup.hdmap)
         self.action_space = action_space(action)
         mounts = self._simulator.context.cameras
+        fps = 1.0 / (setup.plan_every * setup.dt)
+        self.metadata = {**self.metadata, "render_fps": fps}
         self.observation_space = observation_space(mounts, self._history, most_actors)
         if not mounts:
             self.metadata = {**self.metadata, "render_modes": []}
@@ -233,8 +235,9 @@ class DrivingEnv(gymnasium.Env[dict[str, Any], NDArray[np.float32]]):
         if simulator.step_number > 0:
             found = rollout_metrics(simulator.rollout, simulator.setup.hdmap)
             metrics = {
-                name: float("nan") if metric.value is None else metric.value
+                name: metric.value
                 for name, metric in found.values.items()
+                if metric.value is not None
             }
         ending = simulator.ending
         return {

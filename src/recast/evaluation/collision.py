@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from recast.arrays import Array
-from recast.dynamics import plan_to_poses
+from recast.dynamics import ground_velocities, plan_to_poses
 from recast.evaluation.table import Metric, invalid
 from recast.geometry import boxes, se2
 
@@ -19,6 +19,10 @@ TOUCHING = 1e-9
 CAP = 4.0
 """Seconds that are looked ahead, and given to a plan that meets nothing: the length of a plan of
 40 waypoints 0.1 s apart."""
+
+
+_SLIP = np.pi / 6
+"""Radians between motion and heading beyond which the heading says nothing of the motion."""
 
 
 @dataclass(frozen=True)
@@ -190,12 +194,14 @@ def _instants(dt: float) -> int:
 
 
 def _velocity(actor: Array) -> Array:
-    """(S+1, 2): speed along the heading, or against it where the actor drives backwards."""
-    moved = np.diff(actor[:, :2], axis=0)
-    moved = np.concatenate([moved[:1], moved])
+    """(S+1, 2): along the heading, forwards or backwards, as long as the actor moves within 30
+    degrees of it, which is how the reference script reads a lane change; else as it moves."""
+    moved = ground_velocities(actor)
     forward = np.stack([np.cos(actor[:, 2]), np.sin(actor[:, 2])], axis=-1)
-    sign = np.where(np.sum(moved * forward, axis=-1) < 0, -1.0, 1.0)
-    return (sign * actor[:, 3])[:, None] * forward
+    along = np.sum(moved * forward, axis=-1)
+    rolls = np.abs(along) >= np.cos(_SLIP) * actor[:, 3]
+    rolling = (np.sign(along) * actor[:, 3])[:, None] * forward
+    return np.where(rolls[:, None], rolling, moved)
 
 
 def _advance(actor: Array, velocity: Array, time: ArrayLike) -> Array:

@@ -39,7 +39,7 @@ RECIPES = {
     "truth": 4,
     "rollout": 6,
     "scene-level": 3,
-    "metrics": 5,
+    "metrics": 6,
     "report": 6,
 }
 """Version of what recast's own code makes of the inputs of a step.

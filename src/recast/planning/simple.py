@@ -49,12 +49,14 @@ class ConstantVelocity(_Blind):
 class LogReplay:
     """Waypoints are the logged poses of the coming 4 s.
 
+    A rollout puts the ego onto the log's states, without a tracker: the replay is the log itself.
     Where the log ends within the 4 s, the plan goes on straight at the last logged speed; its
     `info` says how many waypoints that concerns.
     """
 
     name = "log-replay"
     needs_images = False
+    replays_log = True
 
     def __init__(self) -> None:
         self._context: PlanningContext | None = None

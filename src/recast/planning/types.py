@@ -191,6 +191,8 @@ class Planner(Protocol):
     `recast.planning.virtual_mounts`. For records, `device` says where it computes, and the mapping
     `record_fields` what else there is to say. `finish_rollout()` is called by `run_rollout` after
     each rollout, also after one that failed.
+    If `replays_log` is true, its plans are the logged poses, and a rollout executes the logged
+    states themselves: the tracker's error would make them another drive.
     If `shared` is true, one program behind it serves all processes, so no two of them may use it at
     once.
 

@@ -8,10 +8,11 @@ from functools import cached_property
 from typing import Protocol, TypeGuard
 
 import numpy as np
+from numpy.typing import NDArray
 
 from recast.arrays import Array
 from recast.core.errors import InputError
-from recast.geometry import Polyline, se2
+from recast.geometry import Polyline, boxes, se2
 from recast.logs.hdmap import HdMap
 from recast.logs.types import DrivingLog, Track, Trajectory
 from recast.planning import ActorState, ReferenceRoute, route_lanes
@@ -163,6 +164,37 @@ def _driven_beside(track: Track, route: ReferenceRoute) -> Array:
 
 
 @dataclass(frozen=True)
+class RoadUsers:
+    """Road users at one step, as arrays that all motions share.
+
+    Attributes:
+        users: the U road users.
+    """
+
+    users: tuple[ActorState, ...]
+
+    @cached_property
+    def ids(self) -> NDArray[np.str_]:
+        """Track ids (U,)."""
+        return np.array([user.track_id for user in self.users])
+
+    @cached_property
+    def velocities(self) -> Array:
+        """Velocities (U, 2), world, m/s."""
+        return np.array([user.velocity for user in self.users])
+
+    @cached_property
+    def points(self) -> Array:
+        """Centres, corners and middles of the sides (U, 9, 2): a long vehicle across a path has
+        both ends beside it."""
+        poses = np.array([user.pose for user in self.users])
+        sizes = np.array([user.size[:2] for user in self.users])
+        corners = boxes.bev_corners(poses, sizes[:, 0], sizes[:, 1])
+        middles = (corners + np.roll(corners, -1, axis=1)) / 2
+        return np.concatenate([poses[:, None, :2], corners, middles], axis=1)
+
+
+@dataclass(frozen=True)
 class MotionInput:
     """What a motion sees at one step.
 
@@ -173,6 +205,8 @@ class MotionInput:
         state: (4,) x, y, heading of the actor's box centre, speed; world, SI units.
         ego: the ego now, its box and velocity; its `track_id` is "ego".
         others: the other road users now: controlled actors in their order, then logged ones.
+        everyone: the ego, the actor itself and the others, shared by all motions of the step; None
+            if they are not.
     """
 
     situation: StartSituation
@@ -181,6 +215,12 @@ class MotionInput:
     state: Array
     ego: ActorState
     others: tuple[ActorState, ...] = ()
+    everyone: RoadUsers | None = None
+
+    @property
+    def shared(self) -> RoadUsers:
+        """All road users, the actor itself perhaps among them."""
+        return self.everyone or RoadUsers(self.road_users)
 
     @property
     def road_users(self) -> tuple[ActorState, ...]:

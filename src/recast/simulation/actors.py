@@ -10,12 +10,12 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from recast.arrays import Array
-from recast.dynamics import EgoState
+from recast.dynamics import EgoState, ground_velocities
 from recast.dynamics import state as ego
 from recast.geometry import se2
 from recast.logs.motion import logged_velocity
 from recast.planning import ActorState, ReferenceRoute
-from recast.simulation.actor_motion import ActorMotion, MotionInput
+from recast.simulation.actor_motion import ActorMotion, MotionInput, RoadUsers
 from recast.simulation.recorded_road import SMOOTHING, RoadSurface, refuse_if_too_short, who
 from recast.simulation.rollout import ego_centre
 from recast.simulation.rollout_start import RolloutStart, StartingActor, start_rollout
@@ -87,6 +87,7 @@ class ControlledActors:
             return None
         step = len(self._states[self.reactive[0]]) - 1
         ego_user, users = road_user(ego_state, self._setup), self.seen(step)
+        everyone = RoadUsers((ego_user, *users))
         moved: dict[str, Array] = {}
         for track_id in self.reactive:
             actor, states = self._actors[track_id], self._states[track_id]
@@ -97,6 +98,7 @@ class ControlledActors:
                 state=states[-1].copy(),
                 ego=ego_user,
                 others=tuple(user for user in users if user.track_id != track_id),
+                everyone=everyone,
             )
             moved[track_id] = self._moved(actor, now)
             if actor.road.outside(moved[track_id][:2]):
@@ -119,13 +121,14 @@ class ControlledActors:
             self._poses[track_id].append(self._start.surface.actor_poses(recent, size)[-1])
 
     def _as_road_user(self, track_id: str, step: int) -> ActorState:
-        x, y, heading, speed = self.state(track_id, step)
+        first = max(step - 1, 0)
+        around = np.array(self._states[track_id][first : step + 2])
         track = self._actors[track_id].track
         return ActorState(
             track_id=track_id,
             category=track.category,
-            pose=np.array([x, y, heading]),
-            velocity=speed * np.array([np.cos(heading), np.sin(heading)]),
+            pose=around[step - first, :3],
+            velocity=ground_velocities(around)[step - first],
             size=track.size,
         )
 

@@ -8,7 +8,6 @@ All have, besides what `ActorMotion` asks for, a `description` for people: one s
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from typing import Annotated
 
@@ -17,9 +16,9 @@ from numpy.typing import ArrayLike
 
 from recast.arrays import Array
 from recast.dynamics import IdmParameters, free_road_step, idm_acceleration
-from recast.geometry import boxes, se2
+from recast.geometry import se2
 from recast.logs.motion import logged_velocity
-from recast.planning import ActorState, ReferenceRoute
+from recast.planning import ReferenceRoute
 from recast.simulation.actor_motion import MotionInput, Quantity, Scripted, StartSituation
 
 _Gap = Annotated[float, Quantity("m", -50.0, 500.0)]
@@ -283,10 +282,9 @@ class Idm:
         """One forward Euler step (4,) of the model, as in `recast.dynamics.idm_step`."""
         path, speed = self._path(state.situation), float(state.state[3])
         s = float(path.project(state.state)[0])
-        leads = self._leads(state, path, s)
+        gaps, speeds = self._leads(state, path, s)
         target = self.speed * state.situation.reference_speed
         parameters = replace(DRIVER, headway=self.headway, min_gap=self.min_gap)
-        gaps, speeds = np.array([*leads, (np.inf, 0.0)]).T
         acceleration = float(idm_acceleration(speed, target, gaps, speeds, parameters).min())
         faster = max(speed + acceleration * dt, 0.0)
         if speed == 0.0:  # projecting back and forth would let a standing car creep
@@ -296,27 +294,18 @@ class Idm:
     def _path(self, situation: StartSituation) -> ReferenceRoute:
         return situation.own_path if self.gap is None else situation.route
 
-    def _leads(
-        self, state: MotionInput, path: ReferenceRoute, s: float
-    ) -> Iterable[tuple[float, float]]:
-        """Gap in metres, bumper to bumper, and speed along the path of all who are ahead on it."""
+    def _leads(self, state: MotionInput, path: ReferenceRoute, s: float) -> tuple[Array, Array]:
+        """Gaps (L,) in metres, bumper to bumper, and speeds (L,) along the path of all who are
+        ahead on it; the last one is nobody, infinitely far."""
         length, width = state.situation.actor_size[:2]
         half = width / 2 + _CORRIDOR_MARGIN
-        for user in state.road_users:
-            centre = float(path.project(user.pose)[0])
-            if centre <= s:
-                continue
-            along, lateral = path.project(_outline(user))
-            offset = lateral - self.lateral
-            if offset.min() > half or offset.max() < -half:
-                continue
-            heading = float(path.heading(centre))
-            lead_speed = user.velocity @ [np.cos(heading), np.sin(heading)]
-            yield float(along.min()) - s - length / 2, float(lead_speed)
-
-
-def _outline(user: ActorState) -> Array:
-    """Corners and middles of the sides (8, 2): a long vehicle across the path has both ends beside
-    it."""
-    corners = boxes.bev_corners(user.pose, *user.size[:2])
-    return np.concatenate([corners, (corners + np.roll(corners, -1, axis=0)) / 2])
+        users = state.shared
+        along, lateral = path.project(users.points)
+        offset = lateral[:, 1:] - self.lateral
+        ahead = (along[:, 0] > s) & (offset.min(axis=1) <= half) & (offset.max(axis=1) >= -half)
+        ahead &= users.ids != state.situation.track_id
+        heading = path.heading(along[ahead, 0])
+        direction = np.stack([np.cos(heading), np.sin(heading)], axis=-1)
+        gaps = along[ahead, 1:].min(axis=1) - s - length / 2
+        speeds = np.sum(users.velocities[ahead] * direction, axis=1)
+        return np.append(gaps, np.inf), np.append(speeds, 0.0)

@@ -58,8 +58,8 @@ class WorldRenderer(Mounted, Closing):
     """Base of renderers that look at a synthetic world, each camera with the exposure it has in the
     log, virtual ones with that of the camera at whose place they are.
 
-    Whole images are traced, also of a camera with a window: rays are drawn by chance and their light
-    is averaged with the neighbours', so that a part alone would have other pixels.
+    Whole images are traced, also of a camera with a window: rays are drawn by chance and their
+    light is averaged with the neighbours', so that a part alone would have other pixels.
 
     Close it, or use it as a context manager: it may hold processes.
 

@@ -68,7 +68,12 @@ def run_rollout(
     filmed = () if on_frame is None else names
     besides = tuple(name for name in filmed if name not in seen)
     simulator = Simulator.from_setup(
-        setup, renderer, cameras=seen, planner=planner.name, timings=timings
+        setup,
+        renderer,
+        cameras=seen,
+        planner=planner.name,
+        timings=timings,
+        replay=bool(getattr(planner, "replays_log", False)),
     )
     with _finishing(planner):
         planner.reset(replace(simulator.context, cameras=shown))
@@ -79,6 +84,7 @@ def run_rollout(
             observation = simulator.observe(masked)
             plan, took = ask(planner, observation, setup.plan_limit_s)
             timings.plan += took
+            simulator.warn_of_reach(plan)
             kept = simulator.advance(plan)
             if on_frame is None:
                 continue

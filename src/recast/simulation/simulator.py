@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,6 +14,8 @@ import numpy as np
 from recast.arrays import Array, Image
 from recast.core.errors import InputError
 from recast.dynamics import EgoState
+from recast.dynamics import state as ego
+from recast.geometry import se2
 from recast.logs.checks import WORLD_REACH
 from recast.logs.types import DrivingLog
 from recast.planning import Plan, PlannerInput, PlanningContext
@@ -39,6 +42,13 @@ if TYPE_CHECKING:
     from recast.scene.street_scene import StreetScene
 
 
+_HARDEST = 10.0
+"""m/s^2: more than tyres hold on a dry road."""
+_OFFSET = 1.0
+"""Metres by which a plan may begin beside the ego: planners smooth, and correct their position;
+PDM-Closed by 0.7 m."""
+_SHARPEST = 0.5
+"""Radians of heading in the first waypoint: a car turns by less in 0.2 s."""
 Observation = PlannerInput
 """What `Simulator.reset` and `Simulator.step` return, and what `Planner.plan` takes."""
 
@@ -85,6 +95,8 @@ class Simulator:
     10
     """
 
+    _replay = False
+
     def __init__(
         self,
         log: DrivingLog,
@@ -111,9 +123,15 @@ class Simulator:
         cameras: Sequence[str] | None = None,
         planner: str = "external",
         timings: Timings | None = None,
+        replay: bool = False,
     ) -> Self:
-        """A simulator of a rollout that is described already; see the class for the arguments."""
+        """A simulator of a rollout that is described already; see the class for the arguments.
+
+        Args:
+            replay: put the ego onto the logged states, whatever the plans say.
+        """
         simulator = cls.__new__(cls)
+        simulator._replay = replay
         simulator._open(setup, renderer, cameras, planner, timings)
         return simulator
 
@@ -139,6 +157,7 @@ class Simulator:
         self._past = logged_past(self._setup, self._start)
         self._ego: list[Array] = [self._start.first]
         self._predictions: list[Array] = []
+        self._warned = False
         self._plan_steps: list[int] = []
         self._ending: Ending | None = None
         self._reason = self._start.cut_reason
@@ -231,6 +250,7 @@ class Simulator:
             ValueError: the rollout is over, or the plan is none; nothing has moved then.
             InputError: a motion returned no state.
         """
+        self.warn_of_reach(plan)
         self.advance(plan)
         return self.observe()
 
@@ -305,9 +325,34 @@ class Simulator:
             raise ValueError(f"Simulator.state_at: {step}, but it is at step {self.step_number}")
         return sim_state(self._setup, self._start, self._actors, self._ego[step], step)
 
+    def warn_of_reach(self, plan: Plan) -> None:
+        """Warn once a rollout of a plan whose first waypoint no vehicle can reach in a step.
+
+        Raises:
+            ValueError: the plan is none.
+        """
+        checked_plan(plan, "Simulator.step", "got")
+        setup, state = self._setup, EgoState(self._ego[-1])
+        x, y, heading = np.asarray(plan.waypoints, np.float64)[0]
+        reach = (state.speed + _HARDEST * setup.dt) * setup.dt + _OFFSET
+        turn = abs(float(se2.wrap_angle(heading)))
+        if self._warned or (np.hypot(x, y) <= reach and turn <= _SHARPEST):
+            return
+        self._warned = True
+        problem = (
+            f"planner {self.planner}: the first waypoint at step {self.step_number} is "
+            f"{np.hypot(x, y):.1f} m and {np.rad2deg(turn):.0f} degrees away; in {setup.dt:g} s at "
+            f"{state.speed:.1f} m/s a car comes {reach:.1f} m and {np.rad2deg(_SHARPEST):.0f} "
+            f"degrees far at most; are waypoints in the ego frame and {setup.dt:g} s apart?"
+        )
+        warnings.warn(problem, RuntimeWarning, stacklevel=2)
+
     def _execute(self, plan: Plan, steps: int) -> Array:
         """Ego states (steps, 11) by the controller."""
         setup, began = self._setup, perf_counter()
+        if self._replay:
+            logged = self._start.ego[self.step_number + 1 : self.step_number + 1 + steps]
+            return ego.moved_left(logged, setup.start_left) if setup.start_left else logged
         executed = setup.controller.execute(
             self._ego[-1], plan.waypoints, steps, setup.vehicle, setup.dt
         )[1:]

@@ -11,9 +11,9 @@ import numpy as np
 from recast.arrays import Array
 from recast.core.errors import InputError
 from recast.dynamics import PACIFICA, VehicleParameters
-from recast.evaluation.collision import realised_future
+from recast.evaluation.collision import any_collision, realised_future
 from recast.evaluation.foreign.epdms import PlanScore, Situation, score_plan
-from recast.evaluation.rollout_metrics import rollout_actors
+from recast.evaluation.rollout_metrics import rollout_actors, rollout_collisions
 from recast.evaluation.table import Metric, invalid
 from recast.geometry import Polyline
 from recast.logs.hdmap import HdMap
@@ -68,7 +68,9 @@ def driven_epdms(
     """Score each plan of a rollout by NAVSIM v2's rules, from the state in which it was made.
 
     Road users are the controlled actors, as for the headline metrics; they go on as they did in
-    the rollout, and after its end at constant velocity. The history of HC is what the ego drove
+    the rollout, and after its end at constant velocity. Plans after a first contact count, too,
+    though they begin in it: NAVSIM has no such plans, since each of its scenes is one plan from a
+    recorded state. `Metric.reason` says how many they are. The history of HC is what the ego drove
     in the rollout, up to 1.5 s. There are no traffic lights in logs: TLC is 1.
 
     Args:
@@ -108,6 +110,10 @@ def driven_epdms(
     totals = np.where(alone, scores.total(), scores.total(np.where(alone, 0.0, compared)))
     worst = int(np.argmin(totals))
     reason = f"least, {totals[worst]:.2f}, at step {int(rollout.plan_steps[worst])}"
+    contact = any_collision(list(rollout_collisions(rollout).values())).first_step
+    later = 0 if contact is None else int(np.count_nonzero(rollout.plan_steps > contact))
+    if later:
+        reason += f"; {later} of {len(totals)} plans were made after the contact at step {contact}"
     mean = float(totals.mean())
     return DrivenEpdms(Metric(mean, reason if mean < 1.0 else None), totals, scores, compared)
 

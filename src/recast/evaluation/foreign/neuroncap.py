@@ -22,6 +22,9 @@ the end of the recording, as its code does."""
 _BEST, _BEST_HIT = 5.0, 4.0
 _NOMINAL = 4.0
 """Seconds after the start at which an ego that does not react would hit."""
+_STANDS = 0.1
+"""m/s of reference speed below which the share of it that was lost is that of the noise of poses: a
+centimetre in the 0.1 s of a step."""
 _LAST = 0.5
 """Seconds at the end of the recording whose mean speed `log-end` takes."""
 
@@ -31,7 +34,7 @@ class NcapScore:
     """NeuroNCAP's score of a rollout.
 
     Attributes:
-        score: 0 to 5 stars; no value after a collision with a reference speed of 0.
+        score: 0 to 5 stars; no value after a collision with a reference speed below 0.1 m/s.
         impact_speed: m/s of the ego against the actor at the first contact, or None without one.
         reference_speed: m/s of the recorded ego against the target, without any reaction.
     """
@@ -77,7 +80,7 @@ def neuroncap_score(rollout: Rollout, reference: Reference = "four-seconds") -> 
     heading, speed = rollout.ego[step, ego.HEADING], rollout.ego[step, ego.VX]
     own = speed * np.array([np.cos(heading), np.sin(heading)])
     impact = float(np.hypot(*(own - _velocity(actor.states, before, before + 1, dt))))
-    if reference_speed == 0.0:
+    if reference_speed < _STANDS:
         score = invalid("without a reaction the ego would stand against the actor")
     else:
         value = _BEST_HIT * max(0.0, 1.0 - impact / reference_speed)
