@@ -99,12 +99,12 @@ def route_completion(
         line = Polyline.from_points(route)
     except ValueError:
         return _no_route(0.0)
-    along, _ = line.to_frenet(path[[0, -1]])
+    along = line.follow(path)
     remaining = line.length - float(along[0])
     if remaining < _SHORTEST_ROUTE:
         return _no_route(remaining)
     driven = float(np.sum(np.linalg.norm(np.diff(path, axis=0), axis=1)))
-    advanced = max(float(along[1] - along[0]), 0.0)
+    advanced = max(float(along[-1] - along[0]), 0.0)
     return RouteCompletion(
         _share(driven, remaining, collision_step),
         _share(advanced, remaining, collision_step),

@@ -10,6 +10,13 @@ from numpy.typing import ArrayLike, NDArray
 
 from recast.arrays import Array
 
+REACH = 10.0
+"""Metres along a chain within which a point is looked for near a known place: a car at 50 m/s
+drives as far in a step of 0.2 s."""
+_SAME = 0.5
+"""Metres by which places of a chain that a vehicle passes twice are taken to be one."""
+_AHEAD = 5
+"""States over which the direction of the motion is taken."""
 _BLOCK = 1_000_000
 """Point-segment pairs projected at once: a LiDAR sweep on a long route would fill the memory."""
 
@@ -89,10 +96,16 @@ class Polyline:
         normal = np.stack([-np.sin(heading), np.cos(heading)], axis=-1)
         return self.position(s) + np.asarray(lateral, np.float64)[..., None] * normal
 
-    def to_frenet(self, points: ArrayLike) -> tuple[Array, Array]:
+    def to_frenet(
+        self, points: ArrayLike, near: ArrayLike | None = None, reach: float = REACH
+    ) -> tuple[Array, Array]:
         """Frenet coordinates of points (..., 2): the nearest point of the chain.
 
         Before the start and past the end, that is the end point.
+
+        Args:
+            near: arc lengths (...) about which the nearest point is looked for, within `reach`
+                metres: a chain may come back over itself. None for all of the chain.
 
         Returns:
             s (...), within [0, length], and the signed distance (...), positive to the left.
@@ -100,19 +113,28 @@ class Polyline:
         query = np.asarray(points, np.float64)
         flat = query.reshape(-1, 2)
         s, lateral = np.empty(len(flat)), np.empty(len(flat))
+        around = None if near is None else np.broadcast_to(near, query.shape[:-1]).reshape(-1)
         block = max(1, _BLOCK // len(self.points))
         for start in range(0, len(flat), block):
             rows = slice(start, start + block)
-            s[rows], lateral[rows] = self._nearest(flat[rows])
+            known = None if around is None else around[rows]
+            s[rows], lateral[rows] = self._nearest(flat[rows], known, reach)
         return s.reshape(query.shape[:-1]), lateral.reshape(query.shape[:-1])
 
-    def _nearest(self, flat: Array) -> tuple[Array, Array]:
+    def _nearest(self, flat: Array, near: Array | None, reach: float) -> tuple[Array, Array]:
         starts, directions = self.points[:-1], self._directions
         lengths = np.diff(self.arc_lengths)
         offset = flat[:, None, :] - starts  # (Q, N-1, 2)
         along = np.clip(np.einsum("qnd,nd->qn", offset, directions), 0.0, lengths)
         gap = offset - along[..., None] * directions
         distance2 = np.einsum("qnd,qnd->qn", gap, gap)
+        if near is not None:
+            # Of segments, whole ones: the one at `near` is always among them.
+            begin = self.arc_lengths[:-1] > near[:, None] + reach
+            end = self.arc_lengths[1:] < near[:, None] - reach
+            away = begin | end
+            away[:, [0, -1]] &= ~away.all(axis=1, keepdims=True)
+            distance2 = np.where(away, np.inf, distance2)
         best = np.argmin(distance2, axis=1)
         rows = np.arange(len(flat))
         # At a vertex, the mean direction tells the side: in a sharp bend each segment alone errs.
@@ -125,3 +147,26 @@ class Polyline:
         cross = tangent[:, 0] * side_vector[:, 1] - tangent[:, 1] * side_vector[:, 0]
         side = np.where(cross >= 0, 1.0, -1.0)
         return self.arc_lengths[best] + along[rows, best], side * np.sqrt(distance2[rows, best])
+
+    def follow(self, points: ArrayLike) -> Array:
+        """Arc lengths (T,) of points (T, 2) in the order of time: each near the one before.
+
+        Of several places of the chain that are as near to the first point, to half a metre, as the
+        nearest one, the first that the chain comes to in the direction of the motion counts.
+        """
+        query = np.asarray(points, np.float64)
+        s = np.empty(len(query))
+        s[0] = self._first(query)
+        for k in range(1, len(query)):
+            moved = float(np.linalg.norm(query[k] - query[k - 1]))
+            s[k] = self.to_frenet(query[k], s[k - 1], REACH + moved)[0]
+        return s
+
+    def _first(self, points: Array) -> float:
+        grid = np.linspace(0.0, self.length, int(self.length / REACH) + 2)
+        s, lateral = self.to_frenet(np.broadcast_to(points[0], (len(grid), 2)), grid)
+        near = s[np.abs(lateral) <= np.abs(lateral).min() + _SAME]
+        moved = points[min(_AHEAD, len(points) - 1)] - points[0]
+        heading = self.heading(near)
+        agrees = np.cos(heading) * moved[0] + np.sin(heading) * moved[1] >= 0.0
+        return float(near[agrees].min() if agrees.any() else near.min())

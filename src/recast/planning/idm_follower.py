@@ -69,7 +69,7 @@ class IdmLaneFollower:
     The path is the reference route with a quintic return to it; the speed follows the intelligent
     driver model behind the most restrictive road user in the corridor. Where the deceleration
     needed to stay clear exceeds the comfortable one, that deceleration is applied, as far as the
-    emergency limit allows.
+    emergency limit allows. It drives forwards only: where the log backed up it stops.
     """
 
     name = "idm-follower"
@@ -79,10 +79,11 @@ class IdmLaneFollower:
         self.config = config or IdmFollowerConfig()
         self._context: PlanningContext | None = None
         self._limits: tuple[tuple[float, float, float], ...] = ()
+        self._s: float | None = None
 
     def reset(self, context: PlanningContext) -> None:
         """Read the speed limits along the route."""
-        self._context = context
+        self._context, self._s = context, None
         limits = []
         for lane in () if context.map is None else route_lanes(context.map, context.route):
             if lane.speed_limit is not None:
@@ -101,8 +102,15 @@ class IdmLaneFollower:
         context, state = self._context, observation.ego
         speed = max(float(state[ego.VX]), 0.0)
         path = _ReturnPath.from_pose(
-            context.route, state[ego.POSE], max(8.0, self.config.return_time * speed)
+            context.route,
+            state[ego.POSE],
+            max(8.0, self.config.return_time * speed),
+            self._near(context, observation, speed),
         )
+        self._s = path.start
+        facing = float(se2.wrap_angle(state[ego.HEADING] - context.route.heading(path.start)))
+        if abs(facing) > np.pi / 2:
+            return self._halt(speed, context.dt)
         leads = [
             lead
             for actor in observation.actors
@@ -112,17 +120,41 @@ class IdmLaneFollower:
         waypoints = se2.relative(state[ego.POSE], path.poses(progress))
         return Plan(waypoints, {"lead": followed, "hardest_acceleration": hardest})
 
+    def _halt(self, speed: float, dt: float) -> Plan:
+        """Brake to a stop straight ahead: the log reversed here, which this planner cannot."""
+        braking = self.config.idm.max_deceleration
+        times = np.minimum(dt * np.arange(1, WAYPOINTS + 1), speed / braking)
+        waypoints = np.zeros((WAYPOINTS, 3))
+        waypoints[:, 0] = speed * times - braking * times**2 / 2
+        return Plan(waypoints, {"lead": "reversing", "hardest_acceleration": -braking})
+
+    def _near(
+        self, context: PlanningContext, observation: PlannerInput, speed: float
+    ) -> float | None:
+        """Where the ego is on the route by what was known of it; at first, where the log was."""
+        if self._s is not None:
+            return self._s + speed * context.dt * context.plan_every
+        known = context.route.at_time(observation.timestamp_us)
+        return None if known is None else float(known)
+
     def _unroll(
         self, speed: float, path: _ReturnPath, leads: list[_Lead], context: PlanningContext
     ) -> tuple[Array, str, float]:
         """Progress (40,) along the path, the lead that decided most, the least acceleration."""
         progress = np.zeros(WAYPOINTS)
         position, previous, followed, hardest = 0.0, 0.0, "", np.inf
+        ahead = path.route.cusps[path.route.cusps > path.start]
+        cusp = float(ahead[0]) if len(ahead) else None
         braking: dict[str, float] = {}  # emergency deceleration by lead, held until it is over
         for j in range(WAYPOINTS):
             target = self._target_speed(path.start + position)
             acceleration = float(idm_acceleration(speed, target, np.inf, 0.0, self.config.idm))
             who = ""
+            if cusp is not None:
+                gap = cusp - path.start - position
+                stop = float(idm_acceleration(speed, target, gap, 0.0, self.config.idm))
+                if stop < acceleration:
+                    acceleration, who = stop, "reversing"
             for lead in leads:
                 bumper = position + context.vehicle.front_length
                 behind = self._behind(lead, j, speed, target, bumper, braking)
@@ -220,8 +252,10 @@ class _ReturnPath:
     distance: float
 
     @classmethod
-    def from_pose(cls, route: ReferenceRoute, pose: Array, distance: float) -> _ReturnPath:
-        s, lateral = (float(value) for value in route.project(pose))
+    def from_pose(
+        cls, route: ReferenceRoute, pose: Array, distance: float, near: float | None
+    ) -> _ReturnPath:
+        s, lateral = (float(value) for value in route.project(pose, near))
         turn = float(se2.wrap_angle(pose[2] - route.heading(s)))
         return cls(route, s, lateral, float(np.tan(np.clip(turn, -1.0, 1.0))), distance)
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from enum import StrEnum
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -13,12 +14,15 @@ from scipy.interpolate import CubicSpline
 from recast.arrays import Array
 from recast.core.errors import InputError
 from recast.geometry import Polyline, se2
+from recast.geometry.polyline import REACH
 from recast.logs.hdmap import HdMap, Lane
 from recast.logs.types import Trajectory
 
 _KNOT_SPACING = 2.0
 """Metres between spline knots: wide enough that centimetres of pose noise leave headings smooth."""
 _SAMPLE_SPACING = 0.5
+_CUSP_LENGTH, _CUSP_TURN = 4.0, 2.0
+"""Metres, and radians over them, that no car turns in: its radius is 4.5 m or more."""
 _COMMAND_LOOKAHEAD = 20.0
 _COMMAND_OFFSET = 2.0
 _LANE_DISTANCE = 2.5
@@ -42,11 +46,13 @@ class ReferenceRoute:
         line: the path, sampled every half metre.
         headings: (N,) tangent at its points, unwrapped radians.
         speeds: (N,) logged speed at its points, m/s.
+        seconds: (N,) log time at its points, or None for a route that is no drive.
     """
 
     line: Polyline
     headings: Array
     speeds: Array
+    seconds: Array | None = None
 
     @classmethod
     def from_trajectory(cls, trajectory: Trajectory) -> ReferenceRoute:
@@ -78,6 +84,7 @@ class ReferenceRoute:
             line=line,
             headings=np.unwrap(np.arctan2(tangent[:, 1], tangent[:, 0])),
             speeds=np.gradient(line.arc_lengths, elapsed),
+            seconds=elapsed,
         )
 
     @property
@@ -106,14 +113,47 @@ class ReferenceRoute:
         xy = self.line.position(s) + lateral[..., None] * normal
         return np.concatenate([xy, heading[..., None]], axis=-1)
 
-    def project(self, points: ArrayLike) -> tuple[Array, Array]:
+    def at_time(self, timestamp_us: ArrayLike) -> Array | None:
+        """Arc lengths (...) that the log had reached at times; None for a route without times."""
+        if self.seconds is None:
+            return None
+        times = np.asarray(timestamp_us, np.float64) * 1e-6
+        return np.interp(times, self.seconds, self.line.arc_lengths)
+
+    def follow(self, points: ArrayLike, near: float) -> Array:
+        """Coordinates s (T,) of points (T, >=2) in the order of time: each near the one before.
+
+        Args:
+            near: the coordinate before the first one.
+        """
+        found, before = [], None
+        for point in np.asarray(points, np.float64)[:, :2]:
+            moved = 0.0 if before is None else float(np.linalg.norm(point - before))
+            near, before = float(self.project(point, near, REACH + moved)[0]), point
+            found.append(near)
+        return np.array(found)
+
+    @cached_property
+    def cusps(self) -> Array:
+        """Coordinates at which the drive turns back into itself: it began or ended to reverse."""
+        s, span = self.line.arc_lengths, round(_CUSP_LENGTH / _SAMPLE_SPACING)
+        turned = np.abs(self.headings[span:] - self.headings[:-span]) > _CUSP_TURN
+        begins = np.flatnonzero(turned & ~np.append(False, turned[:-1]))
+        return np.asarray(s[np.minimum(begins + span, len(s) - 1)])
+
+    def project(
+        self, points: ArrayLike, near: ArrayLike | None = None, reach: float = REACH
+    ) -> tuple[Array, Array]:
         """Frenet coordinates s (...), lateral (...) of points (..., >=2).
 
         Unlike `Polyline.to_frenet`, s is negative before the start and exceeds `length` past the
         end, measured along the end tangents.
+
+        Args:
+            near, reach: coordinates (...) near which they are, see `Polyline.to_frenet`.
         """
         xy = np.asarray(points, np.float64)[..., :2]
-        s, lateral = self.line.to_frenet(xy)
+        s, lateral = self.line.to_frenet(xy, near, reach)
         for end, beyond in ((0.0, s <= 0.0), (self.length, s >= self.length)):
             offset = xy - self.line.position(end)
             heading = float(self.line.heading(end))
@@ -123,14 +163,16 @@ class ReferenceRoute:
             lateral = np.where(beyond, across, lateral)
         return s, lateral
 
-    def command(self, pose: ArrayLike) -> DrivingCommand:
+    def command(self, pose: ArrayLike, near: float | None = None) -> DrivingCommand:
         """The driving command at a pose (>=2,), OpenScene's rule.
+
+        `near` is as for `project`.
 
         From the route point beside the ego to the one 20 m on, seen in the frame of the first:
         2 m or more to a side is a turn. Less than 20 m from the end of the route, the end counts;
         off its ends the command is unknown.
         """
-        s = float(self.project(pose)[0])
+        s = float(self.project(pose, near)[0])
         if not 0.0 <= s <= self.length:
             return DrivingCommand.UNKNOWN
         here, ahead = self.pose(s), self.pose(min(s + _COMMAND_LOOKAHEAD, self.length))

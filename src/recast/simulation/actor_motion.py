@@ -207,6 +207,7 @@ class MotionInput:
         others: the other road users now: controlled actors in their order, then logged ones.
         everyone: the ego, the actor itself and the others, shared by all motions of the step; None
             if they are not.
+        travelled: metres that the actor has moved since the start; None if that is not known.
     """
 
     situation: StartSituation
@@ -216,6 +217,7 @@ class MotionInput:
     ego: ActorState
     others: tuple[ActorState, ...] = ()
     everyone: RoadUsers | None = None
+    travelled: float | None = None
 
     @property
     def shared(self) -> RoadUsers:

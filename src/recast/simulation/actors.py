@@ -42,6 +42,8 @@ class ControlledActors:
         self._states = {k: list(a.states) for k, a in self._actors.items()}
         self._poses = {k: list(a.world_from_actor) for k, a in self._actors.items()}
 
+        self._travelled = dict.fromkeys(self._actors, 0.0)
+
     @property
     def reactive(self) -> tuple[str, ...]:
         """Track ids of those that react."""
@@ -99,6 +101,7 @@ class ControlledActors:
                 ego=ego_user,
                 others=tuple(user for user in users if user.track_id != track_id),
                 everyone=everyone,
+                travelled=self._travelled[track_id],
             )
             moved[track_id] = self._moved(actor, now)
             if actor.road.outside(moved[track_id][:2]):
@@ -114,6 +117,7 @@ class ControlledActors:
     def _append(self, moved: Mapping[str, Array]) -> None:
         for track_id, state in moved.items():
             states = self._states[track_id]
+            self._travelled[track_id] += float(np.linalg.norm(state[:2] - states[-1][:2]))
             states.append(state)
             # Heights are averaged over the past alone: the future is not known yet.
             recent = np.array(states[-2 * SMOOTHING - 1 :])[:, :3]

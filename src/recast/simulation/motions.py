@@ -191,6 +191,12 @@ class LogReplay(Scripted):
         return np.concatenate([poses, np.linalg.norm(velocity, axis=1)[:, None]], axis=1)
 
 
+def _faced(pose: Array, heading: float) -> Array:
+    """A pose (3,) of a path, turned around for a vehicle that goes there backwards."""
+    backwards = abs(float(se2.wrap_angle(pose[2] - heading))) > np.pi / 2
+    return pose + np.array([0.0, 0.0, np.pi * backwards])
+
+
 def _drive(
     s: float,
     speed: float,
@@ -274,14 +280,15 @@ class Idm:
             pose = situation.route.pose(situation.ahead(self.gap), self.lateral)
             return _states(pose, self.speed * situation.reference_speed)
         track, now = situation.labelled(), situation.start_timestamp_us
-        s, _ = situation.own_path.project(se2.from_se3(track.at(now)))
+        path, pose = situation.own_path, se2.from_se3(track.at(now))
+        s, _ = path.project(pose, path.at_time(now))
         speed = float(np.linalg.norm(logged_velocity(track, now, 100_000)))
-        return _states(situation.own_path.pose(s), speed)
+        return _states(_faced(path.pose(s), pose[2]), speed)
 
     def step(self, state: MotionInput, dt: float) -> Array:
         """One forward Euler step (4,) of the model, as in `recast.dynamics.idm_step`."""
         path, speed = self._path(state.situation), float(state.state[3])
-        s = float(path.project(state.state)[0])
+        s = float(path.project(state.state, self._near(state, path))[0])
         gaps, speeds = self._leads(state, path, s)
         target = self.speed * state.situation.reference_speed
         parameters = replace(DRIVER, headway=self.headway, min_gap=self.min_gap)
@@ -289,7 +296,15 @@ class Idm:
         faster = max(speed + acceleration * dt, 0.0)
         if speed == 0.0:  # projecting back and forth would let a standing car creep
             return np.append(state.state[:3], faster)
-        return _states(path.pose(s + speed * dt, self.lateral), faster)
+        pose = path.pose(s + speed * dt, self.lateral)
+        return _states(_faced(pose, state.state[2]), faster)
+
+    def _near(self, state: MotionInput, path: ReferenceRoute) -> float | None:
+        """Where the actor is on its path by the way that it has gone."""
+        start = state.situation.start_timestamp_us
+        begin = path.at_time(start) if self.gap is None else state.situation.ahead(self.gap)
+        known = begin is not None and state.travelled is not None
+        return float(begin) + state.travelled if known else None  # type: ignore[arg-type, operator]
 
     def _path(self, situation: StartSituation) -> ReferenceRoute:
         return situation.own_path if self.gap is None else situation.route

@@ -53,27 +53,31 @@ class RecordedRoad:
     margin: float
     own: Array | None = None
 
-    def outside(self, points: Array) -> NDArray[np.bool_]:
-        """Which points (..., 2) lie before the recorded road, or beyond its end less `margin`."""
-        s, _ = self.route.project(points)
+    def outside(self, points: Array, s: Array | None = None) -> NDArray[np.bool_]:
+        """Which points (..., 2) lie before the recorded road, or beyond its end less `margin`.
+
+        Args:
+            s: coordinates (...) on the route, where they are known; else the nearest place counts.
+        """
+        s = self.route.project(points)[0] if s is None else s
         outside: NDArray[np.bool_] = (s < -_BEHIND_START) | (s > self.route.length - self.margin)
         if self.own is not None and outside.any():
             outside = outside & (self._beside(points) > _BESIDE_LOGGED)
         return outside
 
-    def ending(self, point: Array) -> Ending:
-        """How the rollout ends if the ego comes to `point` (2,) outside of the road."""
-        return Ending.EGO_BEFORE if float(self.route.project(point)[0]) < 0 else Ending.EGO
+    def ending(self, s: float) -> Ending:
+        """How the rollout ends if the ego comes to the coordinate `s` outside of the road."""
+        return Ending.EGO_BEFORE if s < 0 else Ending.EGO
 
-    def reason(self, who: str, point: Array) -> str:
-        """Why a rollout is cut where `who` would come to `point` (2,)."""
+    def reason(self, who: str, point: Array, s: float | None = None) -> str:
+        """Why a rollout is cut where `who` would come to `point` (2,); `s` as for `outside`."""
         if self.own is not None:
             metres = float(self._beside(point))
             return (
                 f"{who} would leave the recorded road: it would be {metres:.1f} m from its "
                 "logged path"
             )
-        s = float(self.route.project(point)[0])
+        s = float(self.route.project(point)[0]) if s is None else s
         if s < 0:
             return f"{who} would leave the recorded road {-s:.1f} m before its start"
         return (
@@ -134,7 +138,7 @@ class RoadSurface:
         cls, log: Trajectory, route: ReferenceRoute, ground: GroundHeight | None
     ) -> RoadSurface:
         """Read heights and tilts off the logged ego poses."""
-        s, _ = route.project(log.poses[:, :2, 3])
+        s, _ = route.project(log.poses[:, :2, 3], route.at_time(log.timestamps_us))
         # Standing still adds poses but no road; keep those that lie further on than all before.
         reached = np.maximum.accumulate(np.concatenate([[-np.inf], s[:-1]]))
         ahead = s > reached + 1e-3

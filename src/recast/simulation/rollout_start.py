@@ -11,6 +11,7 @@ from recast.arrays import Array
 from recast.core.errors import InputError
 from recast.dynamics import initial_state
 from recast.dynamics import state as ego
+from recast.geometry.polyline import REACH
 from recast.logs.types import Track
 from recast.planning import ReferenceRoute
 from recast.simulation.actor_motion import (
@@ -39,6 +40,10 @@ from recast.simulation.start_checks import (
 )
 
 _MIN_START_SPEED = 3.0
+_STRETCH = 10
+"""Times `REACH` before and ahead of the ego that an actor's place is looked for first."""
+_BESIDE = 10.0
+"""Metres beside the route within which an actor is on that stretch: two lanes and the verge."""
 
 
 @dataclass(frozen=True)
@@ -128,11 +133,13 @@ def start_rollout(setup: RolloutSetup, seed: int = 0) -> RolloutStart:
         for track_id, track in tracks.items()
     ]
     for actor in actors:
-        outside = actor.road.outside(actor.states[: steps + 1, :2])
+        path = actor.states[: steps + 1, :2]
+        s = _along(route, path, target.ego_s)
+        outside = actor.road.outside(path, s)
         if np.any(outside):
             steps, ending = int(np.argmax(outside)) - 1, Ending.ACTOR
             name = who(setup, actor.track.track_id)
-            reason = actor.road.reason(name, actor.states[steps + 1, :2])
+            reason = actor.road.reason(name, path[steps + 1], float(s[steps + 1]))
             refuse_if_too_short(setup, steps, reason)
     first = ego.moved_left(state, setup.start_left) if setup.start_left else state
     refuse_starts(setup, road, first, [(a.track, a.motion, a.states[0, :3]) for a in actors])
@@ -150,6 +157,20 @@ def start_rollout(setup: RolloutSetup, seed: int = 0) -> RolloutStart:
         ending=ending,
         cut_reason=reason,
     )
+
+
+def _along(route: ReferenceRoute, path: Array, ego_s: float) -> Array:
+    """Route coordinates (T,) of an actor's places (T, 2): the first one on the stretch about the
+    ego, if it is beside that."""
+    stretch = ego_s + REACH * np.arange(-_STRETCH, _STRETCH + 1)
+    stretch = stretch[(stretch >= 0.0) & (stretch <= route.length)]
+    first = float(route.project(path[0])[0])
+    if len(stretch):
+        s, lateral = route.project(np.broadcast_to(path[0], (len(stretch), 2)), stretch)
+        best = int(np.argmin(np.abs(lateral)))
+        if abs(lateral[best]) <= _BESIDE:
+            first = float(s[best])
+    return route.follow(path, first)
 
 
 def _begin(
@@ -207,7 +228,7 @@ def _situation(
     setup: RolloutSetup, route: ReferenceRoute, state: Array, start_us: int, seed: int
 ) -> StartSituation:
     """Where everything is, as the target sees it."""
-    s = float(route.project(state)[0]) + setup.vehicle.centre_offset
+    s = float(route.project(state, route.at_time(start_us))[0]) + setup.vehicle.centre_offset
     track = setup.track
     return StartSituation(
         route=route,

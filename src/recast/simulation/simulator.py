@@ -156,6 +156,8 @@ class Simulator:
         self._road = RecordedRoad(self._start.route, self._setup.road_margin)
         self._past = logged_past(self._setup, self._start)
         self._ego: list[Array] = [self._start.first]
+        route, began = self._start.route, self._start.start_timestamp_us
+        self._s = [float(route.project(self._start.first, route.at_time(began))[0])]
         self._predictions: list[Array] = []
         self._warned = False
         self._plan_steps: list[int] = []
@@ -268,7 +270,7 @@ class Simulator:
             ego=EgoState(now),
             ego_history=history,
             actors=self._actors.seen(step),
-            command=self._start.route.command(now),
+            command=self._start.route.command(now, self._s[-1]),
             images=self.render(self._cameras) if images is None else images,
         )
 
@@ -280,17 +282,19 @@ class Simulator:
         first, setup = self.step_number, self._setup
         steps = min(setup.plan_every, self._start.steps - first)
         executed = self._execute(plan, steps)
-        outside = self._road.outside(executed[:, :2])
+        along = self._start.route.follow(executed, self._s[-1])
+        outside = self._road.outside(executed[:, :2], along)
         kept = int(np.argmax(outside)) if outside.any() else steps
         if kept < steps:
-            self._ending = self._road.ending(executed[kept, :2])
-            self._reason = self._road.reason("the ego", executed[kept, :2])
+            self._ending = self._road.ending(along[kept])
+            self._reason = self._road.reason("the ego", executed[kept, :2], along[kept])
         for k in range(kept):
             reason = self._actors.advance(self._ego[-1])
             if reason is not None:
                 kept, self._ending, self._reason = k, Ending.ACTOR, reason
                 break
             self._ego.append(executed[k])
+            self._s.append(float(along[k]))
         if kept > 0:
             self._predictions.append(np.asarray(plan.waypoints, np.float64))
             self._plan_steps.append(first)
