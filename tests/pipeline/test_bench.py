@@ -167,7 +167,8 @@ def test_a_failing_planner_is_rows_with_a_reason(
 
 def test_a_slow_planner_is_rows_with_a_reason(logs: list[str], tmp_path: Path) -> None:
     out = tmp_path / "grid"
-    assert main(command(logs[:1], out, "--plan-timeout", "1e-9")) == 0
+    motion = ("--motions", "advancing-a")
+    assert main(command(logs[:1], out, *motion, "--plan-timeout", "1e-9")) == 0
     assert all("limit" in str(r["failure_reason"]) for r in rows(out) if r["motion"] == "advancing")
 
 

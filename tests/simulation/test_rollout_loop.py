@@ -29,11 +29,13 @@ from recast.simulation import (
     Rollout,
     RolloutSetup,
     SimState,
+    Simulator,
     Timings,
     prepare,
     run_rollout,
     save_rollout,
 )
+from recast.simulation.planner_calls import PlannerCalls
 
 MOUNTS = {
     "front": CameraMount(PinholeCamera(8, 4, 5.0, 5.0, 4.0, 2.0), np.eye(4)),
@@ -351,7 +353,7 @@ def test_what_is_no_plan(answer: object, message: str) -> None:
 
 def test_a_plan_that_takes_too_long_fails_the_rollout(monkeypatch: pytest.MonkeyPatch) -> None:
     clock = [0.0]
-    monkeypatch.setattr("recast.simulation.plan_execution.perf_counter", lambda: clock[0])
+    monkeypatch.setattr("recast.simulation.planner_calls.perf_counter", lambda: clock[0])
 
     class Slow(Recorder):
         name = "slow"
@@ -365,7 +367,10 @@ def test_a_plan_that_takes_too_long_fails_the_rollout(monkeypatch: pytest.Monkey
     with pytest.raises(
         ValueError, match=r"^planner slow: took 2.5 s .* step 10, the limit is 0.5 s"
     ):
-        run_rollout(replace(setup, plan_limit_s=0.5), Slow())
+        calls, simulator = PlannerCalls(Slow()), Simulator.from_setup(setup)
+        calls.reset(simulator.context)
+        while not simulator.done:
+            simulator.step(calls.timed_plan(simulator.observe(), 0.5)[0])
 
 
 class Looker(Recorder):

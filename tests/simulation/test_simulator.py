@@ -3,8 +3,6 @@ from __future__ import annotations
 import pickle
 import subprocess
 import sys
-import threading
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -142,11 +140,13 @@ def test_the_state_has_names_and_the_log_beside_it() -> None:
         sim.state_at(6)
 
 
-def test_who_writes_into_an_observation_does_not_move_the_ego() -> None:
+def test_an_observation_is_read_only() -> None:
     sim = simulator()
     observation = sim.reset()
-    observation.ego[0] += 100.0
-    observation.ego_history[:] = 0.0
+    with pytest.raises(ValueError, match="read-only"):
+        observation.ego[0] += 100.0
+    with pytest.raises(ValueError, match="read-only"):
+        observation.ego_history[:] = 0.0
     assert sim.state.ego.x == pytest.approx(0.0, abs=1e-9)
 
 
@@ -288,45 +288,6 @@ def test_a_rollout_of_this_process_knows_what_it_was_run_with(tmp_path: Path) ->
     assert "origin" not in repr(rollout)
     assert rollout.first(5).origin is rollout.origin
     assert pickle.loads(pickle.dumps(rollout)).origin is None
-
-
-class Silent(ConstantVelocity):
-    """A planner that never answers."""
-
-    name = "silent"
-
-    def __init__(self) -> None:
-        super().__init__()
-        self.never = threading.Event()
-
-    def plan(self, observation: PlannerInput) -> Plan:
-        self.never.wait()
-        return super().plan(observation)
-
-
-def test_a_planner_that_never_answers_is_stopped() -> None:
-    planner = Silent()
-    setup = RolloutSetup(drive(), "7", MOTIONS["cut-in-a"], steps=20, plan_limit_s=60.0)
-    quick = replace(setup, plan_limit_s=0.05)
-    message = r"^planner silent: gave no plan at step 0 within the limit of 0.05 s$"
-    try:
-        with pytest.raises(ValueError, match=message):
-            run_rollout(quick, planner)
-    finally:
-        planner.never.set()
-    limited = run_rollout(setup, ConstantVelocity())
-    free = run_rollout(replace(setup, plan_limit_s=None), ConstantVelocity())
-    assert limited.ego.tobytes() == free.ego.tobytes()
-
-
-def test_what_a_planner_raises_within_a_limit_is_raised() -> None:
-    class Broken(ConstantVelocity):
-        def plan(self, observation: PlannerInput) -> Plan:
-            raise KeyError("mine")
-
-    setup = RolloutSetup(drive(), "7", MOTIONS["cut-in-a"], steps=20, plan_limit_s=60.0)
-    with pytest.raises(KeyError, match="mine"):
-        run_rollout(setup, Broken())
 
 
 @pytest.mark.parametrize("limit", [0.0, -1.0, float("nan")])

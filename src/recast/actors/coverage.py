@@ -186,13 +186,13 @@ class CoverageMeter:
     ) -> Tensor:
         """(H, W, 3) share of each pixel that shows what was seen, mirrored, invented."""
         view = torch.from_numpy(np.asarray(camera_from_world, np.float64))
-        row = view[2] @ torch.from_numpy(np.asarray(poses[self._track_id], np.float64))
+        row = view[2] @ torch.from_numpy(np.array(poses[self._track_id], np.float64))
         depths = self._means @ row[:3].to(self._means) + float(row[3])
         # Of this depth's rounding in float32.
         farthest = max(float(depths.max()) * (1 + 1e-5), _LEAST_FAR)
         parts = [(self._street, torch.eye(4, dtype=torch.float64))]
         for key, pose in poses.items():
-            place = torch.from_numpy(np.asarray(pose, np.float64))
+            place = torch.from_numpy(np.array(pose, np.float64))
             parts += [(part, place) for part in self._parts.get(key, ())]
         K = torch.from_numpy(camera.matrix).float()
         return rasterize_frozen(parts, view, K, camera.width, camera.height, far=farthest).rgb

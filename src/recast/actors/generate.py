@@ -11,6 +11,7 @@ from typing import Protocol, runtime_checkable
 from recast.actors.axes import AUTO, UNIT_CUBE_X_FORWARD, UNIT_CUBE_Z_UP, AxisConvention, axes_of
 from recast.actors.observation import Observation
 from recast.core.errors import InputError
+from recast.core.foreign import ForeignCode, read_only
 from recast.core.plugins import GENERATORS
 from recast.splats import CLASSIC, Gaussians, LowPass
 from recast.trellis import (
@@ -70,8 +71,19 @@ def candidates_of(
 ) -> Sequence[Callable[[], Asset]]:
     """What makes each vehicle that a generator offers: all it has, or the one."""
     if isinstance(generator, OffersCandidates):
-        return generator.candidates(observation, seed)
-    return [lambda: generator.generate(observation, seed)]
+        with ForeignCode(f"generator {generator.name}", seed).call("candidates"):
+            return generator.candidates(read_only(observation), seed)
+    return [lambda: generated(generator, observation, seed)]
+
+
+def generated(generator: ActorGenerator, observation: Observation, seed: int) -> Asset:
+    """What a generator, which may be a user's, makes of a read-only observation.
+
+    Raises:
+        Exception: whatever the generator raises, see `ForeignCode`.
+    """
+    with ForeignCode(f"generator {generator.name}", seed).call("generate"):
+        return generator.generate(read_only(observation), seed)
 
 
 def make_generator(generator: str | Path | ActorGenerator, axes: str = AUTO) -> ActorGenerator:

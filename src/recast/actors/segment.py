@@ -4,7 +4,7 @@ What a segmenter is given, what it gives back, how good that is, and operations 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Protocol
 
 import cv2
@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from recast.actors.observation import MaskQuality
 from recast.arrays import Array, Mask
+from recast.core.foreign import ForeignCode, read_only
 from recast.geometry import PinholeCamera, boxes, se3
 
 _REACH = 0.06  # shares of the vehicle's extent in the image: how far it may reach beyond the hull
@@ -75,15 +76,16 @@ def run_segmenter(segmenter: Segmenter, target: SegmentationTarget) -> Segmentat
     Raises:
         ValueError: the alpha is not (H, W) uint8 of the crop's size.
     """
-    found = segmenter.segment(target)
+    with ForeignCode(f"segmenter {type(segmenter).__name__}").call("segment"):
+        found = segmenter.segment(read_only(target))
     segmentation = found if isinstance(found, Segmentation) else Segmentation(found)
-    alpha = segmentation.alpha
+    alpha = np.array(segmentation.alpha)
     if alpha.shape != target.image.shape[:2] or alpha.dtype != np.uint8:
         raise ValueError(
             f"{type(segmenter).__name__}.segment: alpha {target.image.shape[:2]} uint8 expected, "
             f"got {alpha.shape} {alpha.dtype}"
         )
-    return segmentation
+    return replace(segmentation, alpha=alpha)
 
 
 def project_points(camera: PinholeCamera, points: Array) -> tuple[Array, Array]:

@@ -121,10 +121,14 @@ def main(args: Sequence[str] | None = None) -> int:
 
 @contextmanager
 def _system_errors() -> Iterator[None]:
-    """The last resort: whatever the system refuses is one line."""
+    """The last resort: whatever the system refuses, and an exit of a plug-in, is one line."""
     try:
         with files.disk_errors("disk"):
             yield
+    except (SystemExit, GeneratorExit) as error:
+        problem = f"code of a plug-in ended the program ({type(error).__name__}: {error})"
+        mend = "raise an exception that says what is wrong; see --verbose for its place"
+        raise InputError("command", "exit", problem, mend) from error
     except BrokenPipeError:
         raise
     except OSError as error:

@@ -6,6 +6,7 @@ import importlib
 import inspect
 import os
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
@@ -83,11 +84,14 @@ class Registry:
         """
         if not isinstance(value, str | os.PathLike):
             return self._checked(value, type(value).__name__, "is")
+        from recast.core.foreign import process_kept  # here, as it needs numpy
+
         try:
-            part = _called(self._code(value), options)
-        except InputError:
+            with process_kept(seed=0):
+                part = _called(self._code(value), options)
+        except (InputError, KeyboardInterrupt):
             raise
-        except (Exception, SystemExit) as error:  # of the user's code
+        except BaseException as error:  # of the user's code, which may also end the program
             raise InputError(
                 self.kind,
                 os.fspath(value),
@@ -139,7 +143,7 @@ class Registry:
 
         Raises:
             InputError: the name is unknown, or its code cannot be imported. An exception of the
-                module itself, `SystemExit` included, is the error's `__cause__`.
+                module itself, an exit included, is the error's `__cause__`.
         """
         return self._imported(self._path(name), name)
 
@@ -174,10 +178,18 @@ class Registry:
         return code
 
     def _imported(self, path: str, name: str) -> Any:
+        from recast.core.foreign import process_kept
+
         module, _, attribute = path.partition(":")
+        if not module.startswith("recast."):  # what it does to torch is put back only if it is here
+            with suppress(ImportError):
+                importlib.import_module("torch")
         try:
-            return getattr(importlib.import_module(module), attribute)
-        except (Exception, SystemExit) as error:
+            with process_kept(seed=0):
+                return getattr(importlib.import_module(module), attribute)
+        except KeyboardInterrupt:
+            raise
+        except BaseException as error:
             raise InputError(
                 self.kind,
                 name,

@@ -151,7 +151,7 @@ def observation(
         "actors_mask": mask,
     }
     if seen.images:
-        made["images"] = dict(seen.images)
+        made["images"] = {name: image.copy() for name, image in seen.images.items()}
     return made
 
 

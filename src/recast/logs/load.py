@@ -18,6 +18,7 @@ from upath import UPath
 
 from recast.core.errors import InputError
 from recast.core.files import alone_in, atomic_folder, disk_errors
+from recast.core.foreign import ForeignCode
 from recast.core.names import member
 from recast.core.plugins import IMPORTERS
 from recast.core.progress import Progress
@@ -107,7 +108,8 @@ def _imported(
         shown = root if isinstance(root, str) else type(root).__name__
         raise InputError("importer", name, f"cannot read {shown}", "name a local folder")
     _check_call(name, load, drive, given)
-    log = load(Path(root), **given) if drive is None else load(Path(root), drive, **given)
+    with ForeignCode(f"importer {name}").call(os.fspath(root)):
+        log = load(Path(root), **given) if drive is None else load(Path(root), drive, **given)
     if not isinstance(log, DrivingLog):
         problem = f"returned {type(log).__name__} in place of a DrivingLog"
         raise InputError("importer", name, problem, "return the log; write_log writes it")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +12,7 @@ from rich.console import Console
 
 from recast.actors import Actor, insert, load_actor
 from recast.core import Artefact, Store
+from recast.core.artefact import value_hash
 from recast.core.progress import ProgressBar
 from recast.pipeline.actor import ActorMakers
 from recast.pipeline.arms import OWN_STREET, PRESETS, Arm, truth_of
@@ -35,6 +37,7 @@ from recast.planning import CameraMount, Planner, looked_at, make_planner
 from recast.scene import SceneConfig, StreetScene, load_scene
 from recast.scene.dynamic import modelled_tracks
 from recast.simulation import (
+    PlannerProcess,
     RolloutSetup,
     Timings,
     further_actors,
@@ -83,7 +86,11 @@ class Artefacts:
     def planner(self, name: str) -> Planner:
         """A planner, loaded once."""
         if name not in self._planners:
-            self._planners[name] = make_planner(name, self.config.planner_device)
+            made = partial(make_planner, name, self.config.planner_device)
+            planner = made()
+            if self.config.plan_limit_s is not None:
+                planner = PlannerProcess(planner, made)
+            self._planners[name] = planner
         return self._planners[name]
 
     def mounts(self, planner: str) -> dict[str, CameraMount]:
@@ -296,11 +303,17 @@ class Artefacts:
         """What a rollout of an arm is run with."""
         scripted = self.config.motion(motion)
         log, hdmap, left = self.source.log, self.source.map, arm.start_left
-        return rollout_setup(log, hdmap, self.config, scripted, arm.name, left)
+        setup = rollout_setup(log, hdmap, self.config, scripted, arm.name, left)
+        # The same for all arms and planners, and with films: they differ by nothing else.
+        drive = (self.source.hash, self.config.track, scenario_record(scripted))
+        return replace(setup, seed=int(value_hash(drive)[:8], 16))
 
     def close(self) -> None:
-        """Let go of the renderers."""
+        """Let go of the renderers, and end the planners' processes."""
         self.renderers.close()
+        for planner in self._planners.values():
+            if isinstance(planner, PlannerProcess):
+                planner.close()
 
     def _folder_of(self, arm: Arm) -> Path | None:
         """The folder of an arm's reconstruction, where that is not trained by this run."""

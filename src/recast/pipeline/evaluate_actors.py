@@ -16,6 +16,7 @@ from rich.box import SIMPLE_HEAD
 from rich.table import Table
 
 from recast.actors import Actor, ActorGenerator, insert, load_actor
+from recast.actors.generate import generated
 from recast.actors.insert import require_model
 from recast.actors.place import PlacementReport, place_asset
 from recast.core.errors import InputError
@@ -130,7 +131,7 @@ def evaluate_actors(
             start = time.perf_counter()
             try:
                 first = replace(observations[0], further=tuple(observations[1:views]))
-                asset = generator.generate(first, seed)
+                asset = generated(generator, first, seed)
                 made = time.perf_counter()
                 placed = place_asset(asset, case.size, observations)
             except InputError as error:

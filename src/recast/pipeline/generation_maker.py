@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from recast.actors import ActorGenerator, Observation, make_generator
+from recast.actors.generate import generated
 from recast.actors.observe import observation_of_view
 from recast.arrays import Image
 from recast.core.errors import InputError
@@ -156,7 +157,7 @@ class CellMaker:
             seen = case_observation(case, case.inputs[0], rgba)
         start = time.perf_counter()
         try:
-            asset = self._generator(model, case.id).generate(seen, self._seed)
+            asset = generated(self._generator(model, case.id), seen, self._seed)
             made = time.perf_counter()
             # by clean views: how well the silhouette is found again is not the model's doing
             gaussians, placement = place(asset, case.size, clean, self._placement)

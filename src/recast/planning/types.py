@@ -83,6 +83,8 @@ class PlanningContext:
             images.
         dt: seconds between waypoints.
         plan_every: steps of `dt` between two calls of `plan`.
+        seed: seed of the rollout, for random numbers of the planner's own. The global ones of
+            `random`, `numpy` and `torch` are seeded with it already.
     """
 
     route: ReferenceRoute
@@ -92,6 +94,7 @@ class PlanningContext:
     cameras: Mapping[str, CameraMount] = field(default_factory=dict)
     dt: float = 0.1
     plan_every: int = 5
+    seed: int = 0
 
 
 @dataclass(frozen=True)
@@ -183,6 +186,8 @@ class Plan:
 @runtime_checkable
 class Planner(Protocol):
     """Drives the ego. One instance may drive many rollouts, one after the other.
+
+    What it is given is read-only: copy an array before you change it. What it returns is copied.
 
     It may also have `camera_names`, the only cameras to be rendered for it; or
     `choose_cameras(mounts)`, which returns their names once it is known which there are, or a

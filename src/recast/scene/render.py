@@ -160,7 +160,7 @@ class SceneRasterizer:
         K = torch.from_numpy(camera.matrix).float()
         drawn = [(self._background, torch.eye(4, dtype=torch.float64))] if street else []
         for track_id, pose in {**(self._standing if street else {}), **poses}.items():
-            world_from_actor = torch.from_numpy(np.asarray(pose, np.float64))
+            world_from_actor = torch.from_numpy(np.array(pose, np.float64))
             for part in self._parts_at(track_id, pose, colours_us, shapes_us):
                 drawn.append((part, world_from_actor))
         with torch.no_grad():

@@ -183,7 +183,7 @@ class StreetScene:
         parts = [self.background]
         for track_id, pose in {**self.standing, **poses}.items():
             actor = self.actors[track_id].shaped_at(timestamp_us).lit_at(pose)
-            parts.append(actor.drawn.transformed(torch.from_numpy(pose)))
+            parts.append(actor.drawn.transformed(torch.from_numpy(np.array(pose))))
         return concatenate(parts)
 
     def actor_poses(self, timestamp_us: int) -> dict[str, Array]:

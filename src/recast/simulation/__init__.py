@@ -14,6 +14,7 @@ from recast.simulation.actor_motion import (
 from recast.simulation.actors import PreparedActor, PreparedRollout, prepare
 from recast.simulation.motions import Advancing, CutIn, Idm, LogReplay, Oncoming, Stationary
 from recast.simulation.plan_execution import EgoController, LqrController, PerfectController
+from recast.simulation.planner_calls import PlannerProcess
 from recast.simulation.recorded_road import Ending, RoadSurface
 from recast.simulation.renderer import NullRenderer, SensorRenderer, camera_mount, camera_mounts
 from recast.simulation.rollout import (
@@ -69,6 +70,7 @@ __all__ = [
     "OnFrame",
     "Oncoming",
     "PerfectController",
+    "PlannerProcess",
     "PreparedActor",
     "PreparedRollout",
     "RoadSurface",

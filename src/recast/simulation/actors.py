@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from recast.arrays import Array
+from recast.core.foreign import read_only
 from recast.dynamics import EgoState, ground_velocities
 from recast.dynamics import state as ego
 from recast.geometry import se2
@@ -111,7 +112,8 @@ class ControlledActors:
 
     def _moved(self, actor: StartingActor, now: MotionInput) -> Array:
         motion = cast(ActorMotion, actor.motion)  # those with a script do not come here
-        value = motion.step(now, self._setup.dt)
+        with actor.code.call(f"step {now.step}"):
+            value = motion.step(read_only(now), self._setup.dt)
         return checked_state(motion, value, now.step + 1, self._setup.log.name)
 
     def _append(self, moved: Mapping[str, Array]) -> None:

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
 from recast.arrays import Array
+from recast.core.foreign import read_only
 from recast.dynamics import EgoState, initial_state
 from recast.dynamics import state as ego
 from recast.planning import WAYPOINTS
@@ -90,7 +92,7 @@ def make_rollout(
     cut_reason: str | None,
     renderer: SensorRenderer | None,
 ) -> Rollout:
-    """A rollout of the states that were reached, validated.
+    """A rollout of the states that were reached, validated and read-only.
 
     Args:
         ego_states: (S+1, 11) states of the simulated ego.
@@ -137,7 +139,6 @@ def make_rollout(
             for actor in start.actors[1:]
         ),
         reactive=actors.reactive,
-        origin=RolloutOrigin(setup, renderer),
     )
     rollout.validate()
-    return rollout
+    return replace(read_only(rollout), origin=RolloutOrigin(setup, renderer))

@@ -10,6 +10,7 @@ import numpy as np
 
 from recast.arrays import Image
 from recast.core.errors import InputError
+from recast.core.foreign import ForeignCode, read_only
 from recast.core.plugins import RESTORERS
 from recast.planning import CameraMount
 from recast.simulation.renderer import SensorRenderer
@@ -64,7 +65,8 @@ class RestoringRenderer:
         if not rendered:
             return rendered
         parts = {name: self.mounts[name].windowed(image) for name, image in rendered.items()}
-        found = self._restorer.restore(parts)
+        with ForeignCode(f"restorer {self.restored_by}", state.step).call("restore"):
+            found = self._restorer.restore(read_only(parts))
         return {name: self._framed(name, part, found) for name, part in parts.items()}
 
     def _framed(self, name: str, part: Image, found: Mapping[str, Image]) -> Image:

@@ -9,6 +9,7 @@ import numpy as np
 
 from recast.arrays import Array
 from recast.core.errors import InputError
+from recast.core.foreign import ForeignCode, read_only
 from recast.dynamics import initial_state
 from recast.dynamics import state as ego
 from recast.geometry.polyline import REACH
@@ -57,6 +58,7 @@ class StartingActor:
         road: recorded road, on which it may be.
         states: (S+1, 4) its script; (1, 4) its first state if it reacts.
         world_from_actor: (S+1, 4, 4) or (1, 4, 4), the same in space.
+        code: guard of calls of the motion.
     """
 
     track: Track
@@ -65,6 +67,7 @@ class StartingActor:
     road: RecordedRoad
     states: Array
     world_from_actor: Array
+    code: ForeignCode
 
     @property
     def reacts(self) -> bool:
@@ -176,18 +179,20 @@ def _along(route: ReferenceRoute, path: Array, ego_s: float) -> Array:
 def _begin(
     setup: RolloutSetup, motion: AnyMotion, track: Track, target: StartSituation
 ) -> StartingActor:
-    situation = replace(
-        target, actor_size=track.size, track_id=track.track_id, trajectory=track.trajectory
+    situation = read_only(
+        replace(target, actor_size=track.size, track_id=track.track_id, trajectory=track.trajectory)
     )
-    if is_scripted(motion):
-        # In full: a motion must not depend on where it is cut.
-        states = checked_script(motion, situation, setup.steps, setup.dt, setup.log.name)
-    else:
-        reacting = cast(ActorMotion, motion)
-        states = checked_state(reacting, reacting.start(situation), 0, setup.log.name)[None]
+    code = ForeignCode(f"motion {motion.name}", target.seed, motion)
+    with code.call("start"):
+        if is_scripted(motion):
+            # In full: a motion must not depend on where it is cut.
+            states = checked_script(motion, situation, setup.steps, setup.dt, setup.log.name)
+        else:
+            reacting = cast(ActorMotion, motion)
+            states = checked_state(reacting, reacting.start(situation), 0, setup.log.name)[None]
     own = track.trajectory.poses[:, :2, 3] if follows_log(motion) else None
     road = RecordedRoad(situation.route, setup.road_margin, own)
-    return StartingActor(track, motion, situation, road, states, np.zeros((0, 4, 4)))
+    return StartingActor(track, motion, situation, road, states, np.zeros((0, 4, 4)), code)
 
 
 def _lifted(actor: StartingActor, surface: RoadSurface, steps: int) -> StartingActor:

@@ -15,7 +15,8 @@ from recast.geometry import se2
 from recast.logs.types import DrivingLog, Track, Trajectory
 from recast.planning import Planner, looked_at, planner_cameras
 from recast.simulation.motions import Stationary
-from recast.simulation.plan_execution import EgoController, LqrController, ask
+from recast.simulation.plan_execution import EgoController, LqrController
+from recast.simulation.planner_calls import PlannerCalls, PlannerProcess, calling
 from recast.simulation.recorded_road import refuse_if_too_short
 from recast.simulation.renderer import SensorRenderer
 from recast.simulation.rollout import Rollout, RolloutFailure
@@ -75,14 +76,14 @@ def run_rollout(
         timings=timings,
         replay=bool(getattr(planner, "replays_log", False)),
     )
-    with _finishing(planner):
-        planner.reset(replace(simulator.context, cameras=shown))
+    with calling(planner, setup.plan_limit_s) as calls, _finishing(calls):
+        calls.reset(replace(simulator.context, cameras=shown))
         while not simulator.done:
             first = simulator.step_number
             images = simulator.render(seen)
             masked = {name: mount.masked(images[name]) for name, mount in shown.items()}
             observation = simulator.observe(masked)
-            plan, took = ask(planner, observation, setup.plan_limit_s)
+            plan, took = calls.timed_plan(observation, setup.plan_limit_s)
             timings.plan += took
             simulator.warn_of_reach(plan)
             kept = simulator.advance(plan)
@@ -100,19 +101,15 @@ def run_rollout(
 
 
 @contextmanager
-def _finishing(planner: Planner) -> Iterator[None]:
-    """Call the planner's `finish_rollout` at the end, if it has that.
-
-    A fault of the rollout goes before one of its own.
-    """
-    finish = getattr(planner, "finish_rollout", lambda: None)
+def _finishing(calls: PlannerCalls | PlannerProcess) -> Iterator[None]:
+    """Finish the planner's rollout at the end; a fault of the rollout goes before one of that."""
     try:
         yield
     except BaseException:
         with suppress(Exception):
-            finish()
+            calls.finish()
         raise
-    finish()
+    calls.finish()
 
 
 def failure(setup: RolloutSetup, planner: str, error: Exception) -> RolloutFailure:

@@ -56,8 +56,10 @@ class RolloutSetup:
         camera_names: cameras for `on_frame`, and for planners that do not say which they look at
             (see `planner_cameras`); None for all of the log.
         plan_limit_s: seconds of wall-clock time that one plan may take; a planner that takes longer
-            fails the rollout. None for no limit, on which no result may depend.
+            fails the rollout. It runs in a process of its own then, see `PlannerProcess`. None for
+            no limit, on which no result may depend.
         actors: further controlled actors beside the target, by track id, with their motions.
+        seed: seed of random numbers of motions and of the planner.
         start_left: metres to the left of where the log has it at which the ego starts, with its
             past. Scripts do not depend on it.
     """
@@ -79,6 +81,7 @@ class RolloutSetup:
     plan_limit_s: float | None = None
     actors: Mapping[str, AnyMotion] = field(default_factory=dict)
     start_left: float = 0.0
+    seed: int = 0
 
     def __post_init__(self) -> None:
         self._check_actors()

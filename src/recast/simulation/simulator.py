@@ -13,6 +13,7 @@ import numpy as np
 
 from recast.arrays import Array, Image
 from recast.core.errors import InputError
+from recast.core.foreign import ForeignCode, read_only
 from recast.dynamics import EgoState
 from recast.dynamics import state as ego
 from recast.geometry import se2
@@ -29,7 +30,7 @@ from recast.simulation.history import (
     sim_state,
     timestamp_us,
 )
-from recast.simulation.plan_execution import checked_plan
+from recast.simulation.planner_calls import checked_plan
 from recast.simulation.recorded_road import Ending, RecordedRoad
 from recast.simulation.renderer import SensorRenderer
 from recast.simulation.rollout import Rollout
@@ -148,11 +149,13 @@ class Simulator:
         mounts = {} if renderer is None else renderer.mounts
         self._cameras = tuple(mounts if cameras is None else cameras)
         require_cameras(self._cameras, mounts, "Simulator")
-        self._begin(0)
+        self._begin(setup.seed)
 
     def _begin(self, seed: int) -> None:
         self._start, self._seed = start_rollout(self._setup, seed), seed
         self._actors = ControlledActors(self._setup, self._start)
+        controller = self._setup.controller
+        self._controller = ForeignCode(f"controller {type(controller).__name__}", seed, controller)
         self._road = RecordedRoad(self._start.route, self._setup.road_margin)
         self._past = logged_past(self._setup, self._start)
         self._ego: list[Array] = [self._start.first]
@@ -163,6 +166,7 @@ class Simulator:
         self._plan_steps: list[int] = []
         self._ending: Ending | None = None
         self._reason = self._start.cut_reason
+        self._context = self._make_context()
 
     @property
     def setup(self) -> RolloutSetup:
@@ -196,9 +200,12 @@ class Simulator:
 
     @property
     def context(self) -> PlanningContext:
-        """What stays the same during the rollout: for `Planner.reset`."""
+        """What stays the same during the rollout, read-only: for `Planner.reset`."""
+        return self._context
+
+    def _make_context(self) -> PlanningContext:
         mounts = {} if self._renderer is None else self._renderer.mounts
-        return PlanningContext(
+        context = PlanningContext(
             route=self._start.route,
             log=self._setup.log.world_from_rig,
             map=self._setup.hdmap,
@@ -206,7 +213,9 @@ class Simulator:
             cameras={name: mounts[name] for name in self._cameras},
             dt=self._setup.dt,
             plan_every=self._setup.plan_every,
+            seed=self._seed,
         )
+        return read_only(context)
 
     @property
     def rollout(self) -> Rollout:
@@ -234,12 +243,13 @@ class Simulator:
         """Begin the rollout anew.
 
         Args:
-            seed: seed for motions that draw random numbers (`StartSituation.seed`); None for 0.
+            seed: seed of random numbers of motions (`StartSituation.seed`) and planners
+                (`PlanningContext.seed`); None for that of the setup.
 
         Raises:
             InputError: see the class.
         """
-        self._begin(0 if seed is None else seed)
+        self._begin(self._setup.seed if seed is None else seed)
         return self.observe()
 
     def step(self, plan: Plan) -> Observation:
@@ -257,14 +267,14 @@ class Simulator:
         return self.observe()
 
     def observe(self, images: Mapping[str, Image] | None = None) -> Observation:
-        """What a planner sees now.
+        """What a planner sees now, read-only.
 
         Args:
             images: images of the cameras; None to render them.
         """
         step, now = self.step_number, self._ego[-1]
         history = np.array([*self._past, *self._ego][-history_steps(self._setup) - 1 :])
-        return PlannerInput(
+        observation = PlannerInput(
             step=step,
             timestamp_us=timestamp_us(self._setup, self._start, step),
             ego=EgoState(now),
@@ -273,6 +283,7 @@ class Simulator:
             command=self._start.route.command(now, self._s[-1]),
             images=self.render(self._cameras) if images is None else images,
         )
+        return read_only(observation)
 
     def advance(self, plan: Plan) -> int:
         """As `step`, with its errors, but without looking; returns how many steps were executed."""
@@ -296,7 +307,7 @@ class Simulator:
             self._ego.append(executed[k])
             self._s.append(float(along[k]))
         if kept > 0:
-            self._predictions.append(np.asarray(plan.waypoints, np.float64))
+            self._predictions.append(plan.waypoints)
             self._plan_steps.append(first)
         if self._ending is None and self.step_number == self._start.steps:
             self._ending = self._start.ending
@@ -314,7 +325,10 @@ class Simulator:
             raise ValueError("Simulator.render: give the simulator a scene")
         began = perf_counter()
         state = self.state_at(self.step_number if step is None else step)
-        images = self._renderer.render(state, tuple(cameras))
+        # Random numbers by step, so that films change none.
+        with ForeignCode("renderer", self._seed + state.step).call("render"):
+            rendered = self._renderer.render(state, tuple(cameras))
+        images = {name: np.array(image) for name, image in rendered.items()}
         self.timings.render += perf_counter() - began
         self.timings.frames += len(images)
         return images
@@ -327,7 +341,7 @@ class Simulator:
         """
         if not 0 <= step <= self.step_number:
             raise ValueError(f"Simulator.state_at: {step}, but it is at step {self.step_number}")
-        return sim_state(self._setup, self._start, self._actors, self._ego[step], step)
+        return read_only(sim_state(self._setup, self._start, self._actors, self._ego[step], step))
 
     def warn_of_reach(self, plan: Plan) -> None:
         """Warn once a rollout of a plan whose first waypoint no vehicle can reach in a step.
@@ -357,9 +371,11 @@ class Simulator:
         if self._replay:
             logged = self._start.ego[self.step_number + 1 : self.step_number + 1 + steps]
             return ego.moved_left(logged, setup.start_left) if setup.start_left else logged
-        executed = setup.controller.execute(
-            self._ego[-1], plan.waypoints, steps, setup.vehicle, setup.dt
-        )[1:]
+        with self._controller.call(f"execute at step {self.step_number}"):
+            states = setup.controller.execute(
+                *read_only((self._ego[-1], plan.waypoints)), steps, setup.vehicle, setup.dt
+            )
+        executed = np.array(states, np.float64)[1:]
         self.timings.control += perf_counter() - began
         if not np.all(np.abs(executed) <= WORLD_REACH):  # also NaN
             problem = "leads to ego states that are not finite or out of this world"

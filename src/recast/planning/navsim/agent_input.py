@@ -123,9 +123,9 @@ class InputBuilder:
         intrinsics = mount.camera.matrix
         intrinsics[:2, 2] -= 0.5  # OpenCV counts from the centre of the first pixel
         return self._classes.camera(
-            image=images[self._cameras[name]],
-            sensor2lidar_rotation=mount.rig_from_camera[:3, :3],
-            sensor2lidar_translation=mount.rig_from_camera[:3, 3],
+            image=images[self._cameras[name]].copy(),  # agents make tensors of it
+            sensor2lidar_rotation=mount.rig_from_camera[:3, :3].copy(),
+            sensor2lidar_translation=mount.rig_from_camera[:3, 3].copy(),
             intrinsics=intrinsics,
             distortion=np.array(mount.camera.distortion),
         )

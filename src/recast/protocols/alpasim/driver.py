@@ -66,7 +66,7 @@ class AlpaSimDriver(Closing):
             does not use.
         name: name for tables; None for the word that names the planner.
         image_format: "jpeg" (quality 95, as in AlpaSim), or "png", which keeps every pixel.
-        seed: sent with each session.
+        seed: sent with each session; None for that of the rollout.
         warm_up: seconds from the start within which there must be a plan.
         deadline: seconds that a call may take.
         pauses: seconds before each further try of a call while the driver is not there.
@@ -79,7 +79,7 @@ class AlpaSimDriver(Closing):
         *,
         name: str | None = None,
         image_format: Literal["jpeg", "png"] = "jpeg",
-        seed: int = 0,
+        seed: int | None = None,
         warm_up: float = WARM_UP,
         deadline: float = DEADLINE,
         pauses: Sequence[float] = PAUSES,
@@ -131,9 +131,8 @@ class AlpaSimDriver(Closing):
             cameras = {name: name for name in context.cameras}
         require_cameras(cameras.values(), context.cameras, f"planner {self.name}")
         self._log.reset(context)
-        session = DriverSession(
-            self.address, context, cameras, self._seed, self._format, *self._patience
-        )
+        seed = context.seed if self._seed is None else self._seed
+        session = DriverSession(self.address, context, cameras, seed, self._format, *self._patience)
         self._drive = _Drive(session)
 
     def plan(self, observation: PlannerInput) -> Plan:

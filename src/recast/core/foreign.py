@@ -1,0 +1,265 @@
+"""Code of users: what it is handed is read-only, what it does to the process is put back."""
+
+from __future__ import annotations
+
+import random
+import signal
+import sys
+import threading
+import warnings
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager, suppress
+from dataclasses import fields, is_dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any, NoReturn, TypeVar
+
+import numpy as np
+
+from recast.core.errors import InputError
+
+Value = TypeVar("Value")
+
+_SIGNALS = (signal.SIGINT, signal.SIGTERM)
+
+
+class ReadOnlyDict(dict[Any, Any]):
+    """A dict that cannot be changed; its copies are plain dicts."""
+
+    def _refuse(self, *_: Any, **__: Any) -> NoReturn:
+        raise TypeError("the mapping is read-only")
+
+    __setitem__ = __delitem__ = __ior__ = _refuse
+    clear = pop = popitem = setdefault = update = _refuse
+
+    def __reduce__(self) -> tuple[type[dict[Any, Any]], tuple[dict[Any, Any]]]:
+        return dict, (dict(self),)
+
+
+def read_only(value: Value) -> Value:
+    """The same value, whose arrays, mappings and lists cannot be written into.
+
+    Arrays become views, so nothing large is copied; dataclasses are made anew if a member differs;
+    lists become tuples; whatever else there is stays as it is.
+    """
+    made: Any = value
+    if isinstance(value, np.ndarray):
+        if value.flags.writeable:
+            made = value.view()
+            made.flags.writeable = False
+    elif isinstance(value, Mapping):
+        if not isinstance(value, ReadOnlyDict):
+            made = ReadOnlyDict({key: read_only(member) for key, member in value.items()})
+    elif type(value) in (tuple, list):
+        members = tuple(read_only(member) for member in value)  # type: ignore[attr-defined]
+        if type(value) is list or any(a is not b for a, b in zip(members, made, strict=True)):
+            made = members
+    elif is_dataclass(value) and not isinstance(value, type):
+        before = {one.name: getattr(value, one.name) for one in fields(value)}
+        after = {name: read_only(member) for name, member in before.items()}
+        if any(after[name] is not before[name] for name in before):
+            made = object.__new__(type(value))
+            for name, member in {**_kept(value), **after}.items():
+                object.__setattr__(made, name, member)
+    return made  # type: ignore[no-any-return]
+
+
+def _kept(value: object) -> dict[str, Any]:
+    """Attributes without the cached ones, whose arrays would be shared and writeable."""
+    return {
+        name: member
+        for name, member in getattr(value, "__dict__", {}).items()
+        if not isinstance(getattr(type(value), name, None), cached_property)
+    }
+
+
+class ForeignCode:
+    """Code of one user's part: each call into it is guarded.
+
+    An exit is an error; working directory, signal handlers, standard streams, threads and defaults
+    of torch, OpenCV and numpy, and warning filters are put back after each call. `random`, `numpy`
+    and `torch` draw from streams of the part's own, which go on from call to call.
+
+    Args:
+        who: name of the part for errors, such as "planner idm-follower".
+        seed: seed of the streams.
+        part: the part; if its class is one of recast's, its calls are not guarded, which costs
+            0.2 ms each.
+    """
+
+    def __init__(self, who: str, seed: int = 0, part: object = None) -> None:
+        self.who, self._seed = who, seed
+        self._own = type(part).__module__.startswith("recast.")
+        self._streams: dict[str, Any] = {}
+
+    @contextmanager
+    def call(self, what: str) -> Iterator[None]:
+        """Guard one call.
+
+        Args:
+            what: the call, for errors, such as "plan at step 5".
+
+        Raises:
+            InputError: the code ends the program, or writes into what is read-only.
+            Exception: whatever else the code raises.
+        """
+        if self._own:
+            yield
+            return
+        with process_kept(self._seed, self._streams):
+            try:
+                yield
+            except (KeyboardInterrupt, InputError, OSError):
+                raise
+            except Exception as error:
+                if not _refers_to_read_only(error):
+                    raise
+                problem = f"writes into what is read-only ({type(error).__name__}: {error})"
+                mend = "copy what recast hands over before you change it, such as array.copy()"
+                raise InputError(self.who, what, problem, mend) from error
+            except BaseException as error:
+                problem = f"ends the program ({type(error).__name__}: {error})"
+                mend = "raise an exception that says what is wrong"
+                raise InputError(self.who, what, problem, mend) from error
+
+
+def _refers_to_read_only(error: Exception) -> bool:
+    with suppress(Exception):  # its message may be faulty, too
+        text = str(error).lower()
+        return "read-only" in text or "readonly" in text
+    return False
+
+
+def _torch_states(torch: Any) -> tuple[Any, Any]:
+    cuda = torch.cuda.is_available() and torch.cuda.is_initialized()
+    return torch.get_rng_state(), torch.cuda.get_rng_state_all() if cuda else None
+
+
+def _set_torch_states(torch: Any, states: tuple[Any, Any]) -> None:
+    torch.set_rng_state(states[0])
+    if states[1] is not None:
+        torch.cuda.set_rng_state_all(states[1])
+
+
+_RANDOM: dict[str, tuple[Callable[[], Any], Callable[[Any], Any], Callable[[int], Any]]] = {
+    "random": (random.getstate, random.setstate, random.seed),
+    "numpy": (np.random.get_state, np.random.set_state, np.random.seed),
+    "torch": (
+        lambda: _torch_states(sys.modules["torch"]),
+        lambda states: _set_torch_states(sys.modules["torch"], states),
+        lambda seed: sys.modules["torch"].manual_seed(seed),
+    ),
+}
+"""Library: how its state is read, set and seeded."""
+
+
+def _random_states() -> dict[str, Any]:
+    return {name: read() for name, (read, *_) in _loaded(_RANDOM).items()}
+
+
+def _set_device(torch: Any, device: Any) -> None:
+    torch.set_default_device(None if device.type == "cpu" else device)  # a CPU default costs time
+
+
+_SETTINGS: dict[str, tuple[tuple[Callable[[Any], Any], Callable[[Any, Any], Any]], ...]] = {
+    "os": ((lambda os: _folder(), lambda os, before: os.chdir(before)),),
+    "numpy": ((lambda numpy: numpy.geterr(), lambda numpy, before: numpy.seterr(**before)),),
+    "cv2": ((lambda cv2: cv2.getNumThreads(), lambda cv2, before: cv2.setNumThreads(before)),),
+    "torch": (
+        (lambda torch: torch.get_num_threads(), lambda torch, n: torch.set_num_threads(n)),
+        (lambda torch: torch.get_default_dtype(), lambda torch, t: torch.set_default_dtype(t)),
+        (lambda torch: torch.get_default_device(), _set_device),
+        (lambda torch: torch.is_grad_enabled(), lambda torch, on: torch.set_grad_enabled(on)),
+        (
+            lambda torch: torch.are_deterministic_algorithms_enabled(),
+            lambda torch, on: torch.use_deterministic_algorithms(on),
+        ),
+        (
+            lambda torch: torch.get_float32_matmul_precision(),
+            lambda torch, words: torch.set_float32_matmul_precision(words),
+        ),
+    ),
+}
+"""Library: how each of its settings that change other code's results is read and set."""
+
+
+def _loaded(table: Mapping[str, Value]) -> dict[str, Value]:
+    """The entries of libraries that are imported: nothing is imported for their sake."""
+    return {name: entry for name, entry in table.items() if sys.modules.get(name) is not None}
+
+
+def _folder() -> str | None:
+    try:
+        return str(Path.cwd())
+    except OSError:  # it was removed
+        return None
+
+
+@contextmanager
+def process_kept(seed: int, streams: dict[str, Any] | None = None) -> Iterator[None]:
+    """Put back what belongs to the whole process, see `ForeignCode`.
+
+    Args:
+        seed: seed of the random numbers meanwhile.
+        streams: states of random numbers by library, from which they go on; kept up to date.
+    """
+    with _settings_kept(), _drawing(seed, {} if streams is None else streams):
+        yield
+
+
+@contextmanager
+def _drawing(seed: int, streams: dict[str, Any]) -> Iterator[None]:
+    before = _random_states()
+    for library, (_, set_state, set_seed) in _loaded(_RANDOM).items():
+        if library in streams:
+            set_state(streams[library])
+        else:
+            set_seed(seed % 2**32)
+    try:
+        yield
+    finally:
+        streams |= _random_states()
+        for library, (_, set_state, _) in _loaded(_RANDOM).items():
+            if library in before:
+                set_state(before[library])
+
+
+@contextmanager
+def _settings_kept() -> Iterator[None]:
+    before = {
+        name: [read(sys.modules[name]) for read, _ in settings]
+        for name, settings in _loaded(_SETTINGS).items()
+    }
+    main_thread = threading.current_thread() is threading.main_thread()
+    handlers = {number: signal.getsignal(number) for number in _SIGNALS} if main_thread else {}
+    filters, streams = list(warnings.filters), (sys.stdout, sys.stderr)
+    sys.stdout, sys.stderr = (None if one is None else _KeptOpen(one) for one in streams)
+    try:
+        yield
+    finally:
+        sys.stdout, sys.stderr = streams
+        if warnings.filters != filters:
+            warnings.filters[:] = filters  # type: ignore[index]
+        for number, handler in handlers.items():
+            if signal.getsignal(number) != handler:
+                signal.signal(number, handler)
+        for name, values in before.items():
+            library = sys.modules[name]
+            for (read, put_back), value in zip(_SETTINGS[name], values, strict=True):
+                if value is not None and read(library) != value:
+                    with suppress(OSError):  # a working directory that is gone by now
+                        put_back(library, value)
+
+
+class _KeptOpen:
+    """A standard stream that its users cannot close."""
+
+    def __init__(self, stream: Any) -> None:
+        self._stream = stream
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._stream, name)
+
+    def close(self) -> None:
+        """Flush alone."""
+        self._stream.flush()
