@@ -174,7 +174,8 @@ class DrivingEnv(gymnasium.Env[dict[str, Any], NDArray[np.float32]]):
         facts = NOTHING
         if simulator.step_number > first:
             route = simulator.context.route
-            facts = step_facts(simulator.rollout, first, route, self._region, route_end)
+            along = simulator.route_s
+            facts = step_facts(simulator.rollout, first, route, along, self._region, route_end)
         terminated = route_end or any(getattr(facts, name) for name in self._terminate)
         truncated = simulator.done and not terminated
         self._over = terminated or truncated

@@ -8,6 +8,7 @@ from typing import Any, Protocol
 
 import numpy as np
 import shapely
+from numpy.typing import ArrayLike
 
 from recast.evaluation.collision import TOUCHING, any_collision, no_collision
 from recast.evaluation.route import drivable_area_compliance
@@ -86,6 +87,7 @@ def step_facts(
     rollout: Rollout,
     first: int,
     route: ReferenceRoute,
+    route_s: ArrayLike,
     region: shapely.Geometry | None,
     route_end: bool,
 ) -> StepFacts:
@@ -94,6 +96,7 @@ def step_facts(
     Args:
         rollout: rollout up to now.
         first: step at the last observation.
+        route_s: coordinates (S+1,) of the ego on the route.
         region: drivable area, see `recast.logs.hdmap`; None without a map.
         route_end: whether the ego came to the end of the route.
     """
@@ -103,12 +106,13 @@ def step_facts(
     actors += [(actor.states, actor.size) for actor in rollout.controlled]
     hit = any_collision([no_collision(boxes, size, states[new], box, dt) for states, box in actors])
     distance = drivable_area_compliance(boxes, size, region, dt)
-    s, lateral = route.project(rollout.ego[[first, -1]])
+    s = np.asarray(route_s, np.float64)[[first, -1]]
+    lateral = float(route.project(rollout.ego[-1], s[1])[1])
     return StepFacts(
         steps=len(boxes),
         seconds=len(boxes) * dt,
         progress=float(s[1] - s[0]),
-        lateral=float(lateral[1]),
+        lateral=lateral,
         speed=float(rollout.ego[-1, 3]),
         collision=bool(np.any(hit.overlap > TOUCHING)),
         overlap=float(hit.overlap.max()),

@@ -134,7 +134,7 @@ def observation(
     past[:, ego.POSE] = se2.relative(pose, past[:, ego.POSE])
     past[-1, ego.POSE] = 0.0  # exactly
     missing = history - len(past)
-    s = float(route.project(pose)[0])
+    s = float(route.project(pose, seen.route_s)[0])
     ahead = np.clip(s + ROUTE_SPACING * np.arange(ROUTE_POINTS), 0.0, route.length)
     actors = np.zeros((most_actors, len(ACTOR_COLUMNS)))
     shown = seen.actors[:most_actors]

@@ -79,11 +79,10 @@ class IdmLaneFollower:
         self.config = config or IdmFollowerConfig()
         self._context: PlanningContext | None = None
         self._limits: tuple[tuple[float, float, float], ...] = ()
-        self._s: float | None = None
 
     def reset(self, context: PlanningContext) -> None:
         """Read the speed limits along the route."""
-        self._context, self._s = context, None
+        self._context = context
         limits = []
         for lane in () if context.map is None else route_lanes(context.map, context.route):
             if lane.speed_limit is not None:
@@ -105,9 +104,8 @@ class IdmLaneFollower:
             context.route,
             state[ego.POSE],
             max(8.0, self.config.return_time * speed),
-            self._near(context, observation, speed),
+            observation.route_s,
         )
-        self._s = path.start
         facing = float(se2.wrap_angle(state[ego.HEADING] - context.route.heading(path.start)))
         if abs(facing) > np.pi / 2:
             return self._halt(speed, context.dt)
@@ -127,15 +125,6 @@ class IdmLaneFollower:
         waypoints = np.zeros((WAYPOINTS, 3))
         waypoints[:, 0] = speed * times - braking * times**2 / 2
         return Plan(waypoints, {"lead": "reversing", "hardest_acceleration": -braking})
-
-    def _near(
-        self, context: PlanningContext, observation: PlannerInput, speed: float
-    ) -> float | None:
-        """Where the ego is on the route by what was known of it; at first, where the log was."""
-        if self._s is not None:
-            return self._s + speed * context.dt * context.plan_every
-        known = context.route.at_time(observation.timestamp_us)
-        return None if known is None else float(known)
 
     def _unroll(
         self, speed: float, path: _ReturnPath, leads: list[_Lead], context: PlanningContext

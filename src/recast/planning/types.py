@@ -129,6 +129,8 @@ class PlannerInput:
         actors: the other road users: the target, further controlled actors, then logged ones.
         images: rendered camera images (H, W, 3) uint8 RGB by name; empty unless the planner has
             `needs_images`.
+        route_s: coordinate of the ego on the route, metres. A route may come back over itself: the
+            place nearest to the ego may be another one. None if it is not known.
     """
 
     step: int
@@ -138,6 +140,7 @@ class PlannerInput:
     actors: tuple[ActorState, ...]
     command: DrivingCommand
     images: Mapping[str, Image] = field(default_factory=dict)
+    route_s: float | None = None
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "ego", EgoState(self.ego))

@@ -179,6 +179,11 @@ class Simulator:
         return len(self._ego) - 1
 
     @property
+    def route_s(self) -> Array:
+        """Coordinates (step_number + 1,) of the ego on the route, each looked for near the last."""
+        return np.array(self._s)
+
+    @property
     def done(self) -> bool:
         """Whether the rollout is over."""
         return self._ending is not None
@@ -282,6 +287,7 @@ class Simulator:
             actors=self._actors.seen(step),
             command=self._start.route.command(now, self._s[-1]),
             images=self.render(self._cameras) if images is None else images,
+            route_s=self._s[-1],
         )
         return read_only(observation)
 

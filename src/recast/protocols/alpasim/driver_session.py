@@ -118,7 +118,9 @@ class DriverSession(Closing):
         poses = self._surface.ego_poses(states[:, ego.POSE])
         self._client.call("submit_egomotion_observation", egomotion(uuid, times, poses, states))
         self._told_us = now
-        route = route_request(uuid, self.context.route, observation.ego.pose, now)
+        route = route_request(
+            uuid, self.context.route, observation.ego.pose, now, observation.route_s
+        )
         self._client.call("submit_route", route)
 
     def _new_states(self, observation: PlannerInput) -> tuple[list[int], Array]:

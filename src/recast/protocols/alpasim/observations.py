@@ -98,15 +98,23 @@ def _dynamic_state(state: EgoState) -> Any:
     )
 
 
-def route_request(session: str, route: ReferenceRoute, pose: ArrayLike, timestamp_us: int) -> Any:
+def route_request(
+    session: str,
+    route: ReferenceRoute,
+    pose: ArrayLike,
+    timestamp_us: int,
+    route_s: float | None = None,
+) -> Any:
     """The message RouteRequest: 20 points from beside the ego to 80 m ahead, in the rig frame.
 
     Points beyond the end of the route are NaN.
 
     Args:
         pose: (3,) x, y, heading of the ego, world.
+        route_s: see `PlannerInput.route_s`.
     """
-    along = max(float(route.project(pose)[0]), 0.0) + np.linspace(0.0, ROUTE_REACH, ROUTE_POINTS)
+    here = max(float(route.project(pose, route_s)[0]), 0.0)
+    along = here + np.linspace(0.0, ROUTE_REACH, ROUTE_POINTS)
     points = se2.relative(pose, route.pose(along))[:, :2]
     points[along > route.length] = np.nan
     waypoints = [

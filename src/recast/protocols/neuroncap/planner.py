@@ -159,7 +159,7 @@ def infer_body(
         "ego2world": se2.to_se3(np.asarray(now.pose)).tolist(),
         "canbus": [*position, *turned, *pulled, 0.0, 0.0, turning, speed, now.vy, 0.0],
         "timestamp": observation.timestamp_us,
-        "command": command_of(context.route, now),
+        "command": command_of(context.route, now, observation.route_s),
         "calibration": {
             "camera2image": {name: _intrinsics(mount) for name, mount in mounts.items()},
             "camera2ego": {name: mount.rig_from_camera.tolist() for name, mount in mounts.items()},
@@ -175,12 +175,14 @@ def _intrinsics(mount: CameraMount) -> list[list[float]]:
     return matrix.tolist()
 
 
-def command_of(route: ReferenceRoute, state: ArrayLike) -> int:
+def command_of(route: ReferenceRoute, state: ArrayLike, route_s: float | None = None) -> int:
     """NeuroNCAP's command: a turn if the route is 2 m or more to a side of where the ego would be
     in 3 s, straight on at its speed, or at 2 m/s if it is slower."""
     now = ego.EgoState(state)
-    there = se2.compose(now.pose, [max(now.speed, _LEAST_SPEED) * _AHEAD_S, 0.0, 0.0])
-    on_route = route.pose(route.project(there)[0])
+    ahead = max(now.speed, _LEAST_SPEED) * _AHEAD_S
+    there = se2.compose(now.pose, [ahead, 0.0, 0.0])
+    near = None if route_s is None else route_s + ahead
+    on_route = route.pose(route.project(there, near)[0])
     left = float(se2.relative(now.pose, on_route)[1])
     return LEFT if left > _TURN_M else RIGHT if left < -_TURN_M else STRAIGHT
 
