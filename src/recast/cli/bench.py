@@ -35,8 +35,8 @@ class _Grid:
     arm: Annotated[
         shared.Names,
         shared.option(
-            f"{shared.ARM_HELP} Also assets:DIR: vehicles in DIR/SCENE.ply, .glb, .gltf, .obj, .spz or "
-            ".usda.",
+            f"{shared.ARM_HELP} Also assets:DIR: vehicles in DIR/SCENE.ply, .glb, .gltf, .obj, "
+            ".spz or .usda.",
             shared.ARM_DEFAULT,
         ),
     ] = ()

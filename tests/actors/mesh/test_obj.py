@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 
 import numpy as np
@@ -87,6 +88,125 @@ def test_without_materials_it_is_grey_or_of_its_vertex_colours(tmp_path: Path) -
     assert red.colours is not None
     np.testing.assert_array_equal(red.material.factor, np.ones(4))
     np.testing.assert_allclose(red.colours[0, 0], [1, 0, srgb_to_linear(np.array(0.5)), 1])
+
+
+@pytest.mark.parametrize(
+    ("library", "alphas"),
+    [
+        ("newmtl m\nTr 1\nnewmtl n\nTr 1.0\n", [1, 1]),  # MeshLab: nothing would be left
+        ("newmtl m\nTr 1\nnewmtl n\nTr 0.3\n", [1, 0.3]),  # its glass
+        ("newmtl m\nd 1\nTr 1\nnewmtl n\nTr 1\nd 1\n", [1, 1]),  # d wins, before and behind
+        ("newmtl m\nTr 0\nnewmtl n\nTr 1\n", [1, 0]),  # something is opaque: as the format says
+        ("newmtl m\nTr 0.2\nnewmtl n\nTr 0.7\n", [0.8, 0.3]),
+        ("newmtl m\nKd 1 1 1\nnewmtl n\nTr 1\n", [1, 0]),
+        ("newmtl m\nTr 1\n", [0, None]),  # the other part is grey, and opaque
+        ("newmtl m\nTr 1\nnewmtl n\nTr 1\nnewmtl unused\nTr 0\n", [1, 1]),
+    ],
+)
+def test_tr_is_opacity_where_nothing_would_be_seen(
+    tmp_path: Path, library: str, alphas: list[float | None]
+) -> None:
+    text = f"mtllib a.mtl\n{SQUARE}usemtl m\nf 1 2 3\nusemtl n\nf 1 3 4\n"
+    parts = read_obj(write(tmp_path, text, library))
+    for part, alpha in zip(parts, alphas, strict=True):
+        assert part.material.factor[3] == pytest.approx(1 if alpha is None else alpha)
+        assert part.material.alpha == ("OPAQUE" if alpha in (1, None) else "BLEND")
+
+
+@pytest.mark.parametrize(
+    ("numbers", "rgba"),
+    [
+        ("255 0 51", [1, 0, 0.2, 1]),
+        ("0.9 0 0.2 0.5", [0.9, 0, 0.2, 0.5]),
+        ("0.5 0 0.2 1", [0.5, 0, 0.2, 1]),
+        ("1 0.5 0 0.2", [0.5, 0, 0.2, 1]),  # a weight and three colours
+        ("1 1 0 0.2 0.5", [1, 0, 0.2, 0.5]),
+        ("1.0 255 0 51 255", [1, 0, 0.2, 1]),
+        ("255 0 51 0.5", [1, 0, 0.2, 0.5]),
+        ("65535 0 13107", [1, 0, 0.2, 1]),
+    ],
+)
+def test_numbers_behind_the_coordinates_are_colours(
+    tmp_path: Path, numbers: str, rgba: list[float]
+) -> None:
+    other = numbers.replace("0.2", "0.25")  # so that only weights and full alphas are constant
+    lines = f"v 0 0 0 {numbers}\nv 1 0 0 {other}\nv 1 1 0 {numbers}\n"
+    (part,) = read_obj(write(tmp_path, lines + "f 1 2 3\n"))
+    assert part.colours is not None
+    expected = np.append(srgb_to_linear(np.array(rgba[:3])), rgba[3])
+    np.testing.assert_allclose(part.colours[0, 0], expected, atol=1e-9)
+    assert part.material.alpha == ("OPAQUE" if rgba[3] == 1 else "BLEND")
+
+
+@pytest.mark.parametrize("encoding", ["utf-8-sig", "utf-16"])
+def test_a_byte_order_mark_is_not_a_word(tmp_path: Path, encoding: str) -> None:
+    path = write(tmp_path, "")
+    path.write_bytes(f"v 5 0 0\n{SQUARE}f 1 3 4\n".encode(encoding))
+    (tmp_path / "a.mtl").write_bytes("newmtl m\nKd 1 0 0\n".encode(encoding))
+    (part,) = read_obj(path)
+    assert part.corners[0, 0].tolist() == [5, 0, 0]
+    path.write_bytes(f"mtllib a.mtl\n{SQUARE}usemtl m\nf 1 2 3\n".encode(encoding))
+    (red,) = read_obj(path)
+    np.testing.assert_array_equal(red.material.factor, [1, 0, 0, 1])
+
+
+@pytest.mark.parametrize("encoding", ["utf-8", "latin-1"])
+@pytest.mark.parametrize("on_disk", ["utf-8", "latin-1"])
+def test_names_that_are_not_ascii(tmp_path: Path, encoding: str, on_disk: str) -> None:
+    """Mesh in UTF-8, library in either encoding, and the picture's name in either."""
+    (tmp_path / os.fsdecode("Stra\xdfe.png".encode(on_disk))).write_bytes(picture(RED))
+    path = write(tmp_path, "")
+    path.write_text(f"mtllib a b.mtl c.mtl\n{SQUARE}usemtl T\xfcr\nf 1 2 3\n", "utf-8")
+    (tmp_path / "a b.mtl").write_bytes('newmtl T\xfcr\nmap_Kd "Stra\xdfe.png"\n'.encode(encoding))
+    (tmp_path / "c.mtl").write_text("newmtl other\n")
+    (part,) = read_obj(path)
+    assert part.material.texture is not None
+    assert len(files_of_obj(path)) == 3
+
+
+def test_options_of_a_texture(tmp_path: Path) -> None:
+    """Scale and offset count upwards from the lower left corner, before rows are turned round."""
+    (tmp_path / "2 cars.png").write_bytes(picture(RED))
+    library = "newmtl m\nmap_Kd -s 2 3 -o 0.5 0.25 0 -clamp on -mm 0 1 2 cars.png\n"
+    path = write(tmp_path, f"mtllib a.mtl\n{SQUARE}usemtl m\nf 1/1 2/2 3/3\n", library)
+    (part,) = read_obj(path)
+    expected = np.array([[0, 0], [1, 0], [1, 1]]) * [2, 3] + [0.5, 0.25]
+    np.testing.assert_allclose(part.uv, [expected * [1, -1] + [0, 1]])
+    assert part.material.wrap == ("CLAMP", "CLAMP")
+
+
+def test_masks_and_emission(tmp_path: Path) -> None:
+    mask = np.zeros((2, 2, 3), np.uint8)
+    mask[:, 1] = 255
+    (tmp_path / "mask.png").write_bytes(picture(mask))
+    (tmp_path / "red.png").write_bytes(picture(RED))
+    library = "newmtl m\nKd 0 0 0\nmap_d mask.png\nKe 1 0.5 0\nmap_Ke red.png\n"
+    library += "newmtl n\nmap_Kd red.png\nmap_d mask.png\nKe 0 0 0\n"
+    text = f"mtllib a.mtl\n{SQUARE}usemtl m\nf 1/1 2/2 3/3\nusemtl n\nf 1/1 2/2 3/3\n"
+    masked, both = read_obj(write(tmp_path, text, library))
+    assert masked.material.texture is not None and both.material.texture is not None
+    assert masked.material.alpha == both.material.alpha == "BLEND"
+    np.testing.assert_array_equal(masked.material.texture[0, :, 3], [0, 255])
+    np.testing.assert_array_equal(masked.material.factor, [0, 0, 0, 1])
+    np.testing.assert_array_equal(both.material.texture[0, :, 3], [0, 0, 255, 255])
+    assert masked.glow is not None and masked.glow.texture is not None
+    np.testing.assert_allclose(masked.glow.factor, srgb_to_linear(np.array([1, 0.5, 0])))
+    np.testing.assert_array_equal(masked.glow.uv, masked.uv)
+    assert both.glow is None
+
+
+@pytest.mark.parametrize("turned", [False, True])
+def test_concave_polygons_keep_their_outline(tmp_path: Path, turned: bool) -> None:
+    """An arrowhead of area 2, whose fan from its first corner would cover more."""
+    corners = [(2, 0, 0), (0, 2, 0), (1, 0, 0), (0, -2, 0)]
+    lines = "".join(f"v {x} {y} {z}\n" for x, y, z in corners[:: -1 if turned else 1])
+    (part,) = read_obj(write(tmp_path, lines + "f 2 3 4 1\nf 1 2 3\n"))
+    areas = np.linalg.norm(
+        np.cross(part.corners[:, 1] - part.corners[:, 0], part.corners[:, 2] - part.corners[:, 0]),
+        axis=1,
+    )
+    assert len(part) == 3
+    assert areas[1:].sum() / 2 == pytest.approx(2.0) or areas[:2].sum() / 2 == pytest.approx(2.0)
 
 
 def test_every_file_that_counts_is_named(tmp_path: Path) -> None:
