@@ -61,7 +61,7 @@ def read_only(value: Value) -> Value:
             made = object.__new__(type(value))
             for name, member in {**_kept(value), **after}.items():
                 object.__setattr__(made, name, member)
-    return made  # type: ignore[no-any-return]
+    return made
 
 
 def _kept(value: object) -> dict[str, Any]:

@@ -34,8 +34,8 @@ from recast.arrays import Image
 from recast.core.errors import InputError
 from recast.core.files import disk_errors
 
-Levels = NDArray[np.uint8] | NDArray[np.uint16]
-"""Grey (H, W), colours (H, W, 3), or colours and straight alpha (H, W, 4)."""
+Levels = NDArray[Any]
+"""uint8 or uint16: grey (H, W), colours (H, W, 3), or colours and straight alpha (H, W, 4)."""
 
 FORMATS = ("BMP", "JPEG", "PNG", "TIFF", "WEBP")
 """Formats of photographs and masks."""
@@ -225,7 +225,7 @@ def opened(
         with disk_errors(where), _stream_of(source) as stream:
             head = stream.read(_HEAD)
             kind = _format_of(head, formats)
-            if kind not in formats:
+            if kind is None or kind not in formats:
                 begins = f"; it begins like {kind}" if kind else ""
                 raise ValueError(f"it is none of {', '.join(formats)}{begins}")
             size = stream.seek(0, io.SEEK_END)

@@ -113,7 +113,7 @@ def _imported(
     if not isinstance(log, DrivingLog):
         problem = f"returned {type(log).__name__} in place of a DrivingLog"
         raise InputError("importer", name, problem, "return the log; write_log writes it")
-    return examined(log, root)
+    return examined(log, Path(root))
 
 
 def _check_call(

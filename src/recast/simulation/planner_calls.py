@@ -12,7 +12,7 @@ from contextlib import contextmanager, suppress
 from dataclasses import replace
 from multiprocessing import util
 from multiprocessing.connection import Connection
-from multiprocessing.pool import ExceptionWithTraceback
+from multiprocessing.pool import ExceptionWithTraceback  # type: ignore[attr-defined]
 from multiprocessing.reduction import ForkingPickler
 from time import perf_counter
 from typing import Any
@@ -161,7 +161,12 @@ class PlannerProcess(Closing):
         self._connection = here
         # Not a daemon, which could start no processes; ended before this process waits for it.
         self._end = util.Finalize(self, _end, (process, here), exitpriority=10)
-        self._code = lambda: (process.join(_GRACE), process.exitcode)[1]
+
+        def code() -> int | None:
+            process.join(_GRACE)
+            return process.exitcode
+
+        self._code = code
         try:
             self._ask("start")
         except InputError:

@@ -252,7 +252,8 @@ def _parse_header(path: Path, data: bytes) -> _Header:
         raise InputError(
             path, "header", "has no end_header", "the file is truncated: copy it again"
         )
-    order, elements = "", []
+    order = ""
+    elements: list[tuple[str, int, list[tuple[str, str]]]] = []
     try:
         for line in _lines(data[: end.start()])[1:]:
             match line.split():
