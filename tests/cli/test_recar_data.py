@@ -29,6 +29,17 @@ def test_from_photographs_to_shards(tmp_path: Path, capsys: pytest.CaptureFixtur
     assert packed.identities.keys() == read_set(tmp_path / "set").identities.keys()
 
 
+def test_the_lines_of_skipped_vehicles_name_options(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    photos = write_photos(tmp_path / "photos")
+    options = {"licence": "CC0-1.0", "views": 8, "remover": "none", "layout": "mad-cars"}
+    with pytest.raises(InputError, match="3 of 3 cannot be taken"):
+        Ingest(photos, tmp_path / "set", **options)()  # type: ignore[arg-type]
+    said = capsys.readouterr().out
+    assert "give fewer --views" in said and "`" not in said
+
+
 def test_bad_options(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="--shard-bytes: value: is 'much'"):
         Pack(tmp_path, tmp_path / "out", "much")()

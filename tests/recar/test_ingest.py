@@ -352,5 +352,5 @@ def test_a_fov_needs_the_shape_of_the_set(tmp_path: Path) -> None:
     photos = write_photos(tmp_path / "photos", 1)
     settings = replace(SETTINGS, fov_deg=40.0, width=40)
     ingest(photos, tmp_path / "wide", settings=settings)  # as wide as before, with free rows
-    with pytest.raises(InputError, match="`fov` needs the shape of 90x40"):
+    with pytest.raises(InputError, match="of another shape than 90x40"):
         ingest(photos, tmp_path / "set", settings=replace(settings, width=90))

@@ -202,7 +202,7 @@ def a_folder_outside(folder: Path) -> None:
         (all_in_one_place, "are not in a ring"),
         (no_front, "front: is not given"),
         (front_too_high, "front: is 24"),
-        (small_mask, "size: is 4x4, the photograph's 60x40"),
+        (small_mask, "size: is 4x4, the photograph 60x40"),
         (a_folder_outside, "no file inside of photos"),
     ],
 )

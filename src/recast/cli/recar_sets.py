@@ -10,7 +10,7 @@ from typing import Annotated, Literal
 import tyro
 
 from recast.cli import shared
-from recast.cli.output import console_for
+from recast.cli.output import console_for, line_of
 from recast.core import diagnostics
 
 
@@ -98,7 +98,8 @@ class Ingest:
             )
 
         def show(name: str, error: InputError) -> None:
-            console.print(f"{printable(name)}: {error}", markup=False, soft_wrap=True)
+            line = line_of(error, self)
+            console.print(f"{printable(name)}: {line}", markup=False, soft_wrap=True)
 
         with ProgressBar("pictures", console) as progress:
             report = ingest_photographs(

@@ -34,8 +34,8 @@ from recast.arrays import Image
 from recast.core.errors import InputError
 from recast.core.files import disk_errors
 
-Levels = NDArray[Any]
-"""uint8 or uint16: grey (H, W), colours (H, W, 3), or colours and straight alpha (H, W, 4)."""
+Levels = NDArray[np.unsignedinteger[Any]]
+"""8 or 16 bits: grey (H, W), colours (H, W, 3), or colours and straight alpha (H, W, 4)."""
 
 FORMATS = ("BMP", "JPEG", "PNG", "TIFF", "WEBP")
 """Formats of photographs and masks."""

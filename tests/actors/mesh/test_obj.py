@@ -237,7 +237,7 @@ def test_every_file_that_counts_is_named(tmp_path: Path) -> None:
         ("mtllib a.mtl\n" + SQUARE + "f 1 2 3\n", "newmtl m\nmap_Kd no.png", "no.png"),
         ("mtllib a.mtl\n" + SQUARE + "f 1 2 3\n", "newmtl m\nmap_Kd ../no.png", "line 2"),
         ("mtllib a.mtl\n" + SQUARE + "f 1 2 3\n", "newmtl m\nmap_Kd C:\\no.png", "line 2"),
-        ("mtllib a.mtl\n" + SQUARE + "f 1 2 3\n", "newmtl m\nmap_Kd a.mtl", "no whole picture"),
+        ("mtllib a.mtl\n" + SQUARE + "f 1 2 3\n", "newmtl m\nmap_Kd a.mtl", "cannot be decoded"),
         ("mtllib a.mtl\n" + SQUARE + "f 1 2 3\n", "newmtl m\nmap_Kd", "line 2"),
         ("mtllib a.mtl\n" + SQUARE + "f 1 2 3\n", "newmtl m\nKd 1 x 1", "line 2"),
         ("mtllib a.mtl\n" + SQUARE + "f 1 2 3\n", "newmtl m\nd nan", "line 2"),

@@ -118,8 +118,8 @@ def check_sizes(paths: Sequence[Path], settings: IngestSettings) -> None:
         raise InputError(
             paths[0],
             "size",
-            f"is {width}x{height}: `fov` needs the shape of {settings.width}x{settings.height}",
-            "give `width` and `height` of that shape",
+            f"is {width}x{height}, of another shape than {settings.width}x{settings.height}",
+            "with `fov`, give `width` and `height` of the photographs' shape",
         )
 
 
