@@ -41,6 +41,10 @@ MOST_BESIDE_IN_TURNS = 45.0
 front bumper has 35 in the tightest turn (3.8 m ahead of the axle, radius 5.5 m)."""
 BOX_BESIDE = 30.0
 """Degrees between a vehicle's motion and its box: labels of turning trucks are 20 off."""
+LEAST_TURN = 5.0
+"""Degrees: standard deviation of the way's direction from which turns are compared."""
+WRONG_TURN = -0.5
+"""Turn of the heading for each turn of the way: a car has 1, a mirrored heading -1."""
 FASTEST = 100.0
 """Metres a second over a second, at most: 360 km/h."""
 ODD_SPEED = 60.0
@@ -134,6 +138,7 @@ class Figures:
         rig_lean: median angle from the rig's z axis to the world's.
         heading_off: median angle between motion and heading, folded for reversing.
         heading_off_worst: the same angle, 90th percentile.
+        turning: turn of the heading for each turn of the way; 1.0 for a car.
         reversing: share of the way that was driven backwards.
         speed: fastest speed over a second.
         acceleration: strongest horizontal acceleration over a second.
@@ -154,6 +159,7 @@ class Figures:
     rig_lean: float
     heading_off: float | None
     heading_off_worst: float | None
+    turning: float | None
     reversing: float | None
     speed: float
     acceleration: float | None
@@ -205,6 +211,7 @@ def plausibility(log: DrivingLog, sensors: bool = True) -> Plausibility:
         rig_lean=float(np.median(_leans(log.world_from_rig.poses))),
         heading_off=None if ego is None else float(np.median(ego.beside)),
         heading_off_worst=None if ego is None else float(np.percentile(ego.beside, 90)),
+        turning=None if ego is None else ego.turning,
         reversing=None if ego is None else ego.reversing,
         speed=_speed(log.world_from_rig),
         acceleration=_acceleration(log.world_from_rig),
@@ -359,10 +366,12 @@ class _Motion:
     Attributes:
         beside: degrees, folded for reversing.
         ahead: metres a second along the heading, below zero backwards.
+        turning: turn of the heading for each turn of the way; None if the way is straight.
     """
 
     beside: Array
     ahead: Array
+    turning: float | None
 
     @classmethod
     def of(cls, trajectory: Trajectory, slowest: float = SLOWEST) -> _Motion | None:
@@ -383,12 +392,22 @@ class _Motion:
             return None
         cosine = np.cos(angle[fast])
         beside = np.degrees(np.arccos(np.clip(np.abs(cosine), 0.0, 1.0)))
-        return cls(beside, cosine * way[fast] * count / seconds)
+        turning = _turning((poses[1:] - poses[:-1])[fast], poses[:-1][fast])
+        return cls(beside, cosine * way[fast] * count / seconds, turning)
 
     @property
     def reversing(self) -> float:
         """Share of the way that leads backwards."""
         return float(np.maximum(-self.ahead, 0.0).sum() / np.abs(self.ahead).sum())
+
+
+def _turning(chords: Array, poses: Array) -> float | None:
+    """Slope of the heading over the direction of the way, both folded for reversing."""
+    course = np.unwrap(2 * np.arctan2(chords[:, 1, 3], chords[:, 0, 3])) / 2
+    heading = np.unwrap(2 * se3.yaw(poses)) / 2
+    if np.degrees(np.std(course)) < LEAST_TURN:
+        return None
+    return float(np.polyfit(course, heading, 1)[0])
 
 
 def _seconds(trajectory: Trajectory) -> float:
@@ -479,6 +498,9 @@ def _ego_findings(figures: Figures, ego: _Motion | None) -> Iterator[tuple[bool,
     if median > MOST_BESIDE or worst > MOST_BESIDE_IN_TURNS:
         shown = median if median > MOST_BESIDE else worst
         problem = f"the rig faces {shown:.0f} degrees away from where it moves"
+        yield True, Finding(field, problem, _facing_hint(median))
+    elif figures.turning is not None and figures.turning < WRONG_TURN:
+        problem = "the rig turns right where its way turns left"
         yield True, Finding(field, problem, _facing_hint(median))
     elif median > ODD_BESIDE:
         problem = f"the rig faces {median:.0f} degrees away from where it moves"
