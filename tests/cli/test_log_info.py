@@ -116,3 +116,22 @@ def test_what_can_be_replaced_comes_before_what_cannot() -> None:
         "is in no image",
         "is no car, van, truck or bus",
     ]
+
+
+def test_what_was_measured_and_what_is_odd_is_printed(
+    tiny_log: DrivingLog,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    tracks = {name: replace(one, size=one.size[[1, 0, 2]]) for name, one in tiny_log.tracks.items()}
+    write_log(replace(tiny_log, tracks=tracks), tmp_path / "log")
+    text = " ".join(_printed(tmp_path / "log", 80, capsys, monkeypatch))
+    text = " ".join(text.split())
+    assert "measured: rig leans 0.0°, faces 0.0° off its motion" in text
+    assert "warning: tracks: 2 of 2 tracks are wider or higher than long" in text
+    assert main(["log", "info", str(tmp_path / "log"), "--json"]) == 0
+    rows = json.loads(capsys.readouterr().out)
+    measured = [row for row in rows if row["table"] == "plausibility"]
+    assert [row["wider_than_long"] for row in measured] == [2]
+    assert any("are sizes length" in row["warning"] for row in rows if row["table"] == "warnings")

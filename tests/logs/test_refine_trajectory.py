@@ -112,3 +112,12 @@ def test_heading_offset_is_the_yaw_of_the_mounting(turn: float) -> None:
     assert heading_offset(mounted) == pytest.approx(0.02, abs=1e-9)
     crawling = Trajectory(times * 1000, poses @ se3.inverse(off))
     assert heading_offset(crawling) == 0.0
+    reversing = Trajectory(times, mounted.poses[::-1])
+    assert heading_offset(reversing) == pytest.approx(0.02, abs=1e-9)
+
+
+def test_a_heading_that_no_mounting_explains_is_left() -> None:
+    times = 100_000 * np.arange(20, dtype=np.int64)
+    poses = se3.exp(np.array([1.0, 0.0, 0.0, 0.0, 0.0, 0.0]) * np.arange(20)[:, None])
+    off = se3.from_rotation_translation(se3.rotation_z(0.3), np.zeros(3))
+    assert heading_offset(Trajectory(times, poses @ off)) == 0.0
