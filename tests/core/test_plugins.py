@@ -95,18 +95,21 @@ def test_options_are_given_to_code_that_takes_them() -> None:
     ("value", "message"),
     [
         (
-            "plian",
-            "cup: plian: is not known; choose one of plain, theirs, install its package, or give a "
+            "mug",
+            "cup: mug: is not known; choose one of plain, theirs, install its package, or give a "
             r"folder or a file \*.cup or shelf:... or a path module:attribute",
         ),
         ("", "is not known; choose one of plain"),
+        ("plian", r"is not known; did you mean plain\?"),
+        ("cup_shelf.Mug", r"is not known; did you mean cup_shelf:Mug\?"),
+        ("cup_shelf:Cap", r"cup_shelf.py does not define 'Cap'; did you mean cup_shelf:Cup\?"),
         ("cup_shelf:empty", "made object, which lacks pour, size; return a cup; see cups.Cup for"),
         ("cup_shelf:itself", "made the class Cup; return a cup"),
         ("cup_shelf:failing", r"cannot be made \(RuntimeError: out of clay\)"),
         ("cup_shelf:leaving", r"cannot be made \(SystemExit: 3\)"),
         ("cup_shelf:value", "cannot be called; name a class or a function"),
-        ("cup_shelf:none", r"cannot be imported \(AttributeError"),
-        ("no_such_module:x", r"cannot be imported \(ModuleNotFoundError"),
+        ("cup_shelf:none", "cannot be imported: .*cup_shelf.py does not define 'none'"),
+        ("no_such_module:x", r"cannot be imported \(ModuleNotFoundError.*; run in the folder"),
         (3, "cup: int: is int, which lacks pour, size; give a cup"),
         (Registry, "cup: type: is the class Registry"),
         (None, "is NoneType, which lacks"),

@@ -151,7 +151,7 @@ def test_bad_input_is_one_line(
     assert "is no folder" in refused(ply, tmp_path / "nowhere", "--out", out)
     assert "no set.json, no index.json" in refused(ply, tmp_path, "--out", out)
     assert "generator: diorama: is not known" in refused("diorama", crops, "--out", out)
-    assert "LPIPS weights: is no file" in refused(
+    assert "pth: does not exist" in refused(
         ply, crops, "--out", out, "--lpips-weights", tmp_path / "alex.pth"
     )
     assert not out.exists()

@@ -257,5 +257,10 @@ def test_options_that_take_paths(
         assert capsys.readouterr().err.splitlines() == [line]
     assert located("--clip", None) is None
     assert located("--clip", tmp_path) == tmp_path
-    assert located("--clip", Path("alexnet")) == Path("alexnet"), "weights for another option"
+    with pytest.raises(InputError, match="does not exist; give a path, or clip-vit-l14"):
+        located("--clip", Path("alexnet"))  # weights for another option
+    assert (located("--model", Path("recast-mini")) / "pipeline.json").is_file()
+    assert (located("--start", Path("gtrs-mini")) / "config.json").is_file()
+    with pytest.raises(InputError, match=r"did you mean recast-mini\?"):
+        located("--model", Path("recast-mnii"))
     assert place("segmenter", "nothing") is None and place("planner", "trellis") is None

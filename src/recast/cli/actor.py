@@ -86,8 +86,8 @@ class Generate:
     crop: tyro.conf.Positional[tuple[Path, ...]]
     """Pictures with alpha, each of another vehicle; several are generated in one batch."""
     model: Path
-    """Model folder in the published layout (pipeline.json, ckpts/), or trellis (recast
-    weights)."""
+    """Model folder in the published layout (pipeline.json, ckpts/), recast-mini (in the package)
+    or trellis (recast weights)."""
     out: Path
     """New folder for the vehicles."""
     views: tuple[Path, ...] = ()

@@ -3,18 +3,23 @@
 from __future__ import annotations
 
 import argparse
+import ast
 import logging
 import os
 import re
+import shutil
 import sys
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager, redirect_stderr, redirect_stdout, suppress
+import textwrap
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import contextmanager, redirect_stdout, suppress
 from dataclasses import dataclass
-from io import StringIO
+from functools import partial
+from io import StringIO, TextIOWrapper
 from pathlib import Path
-from typing import Annotated, Any, Literal, NoReturn
+from typing import Annotated, Any, Literal, NoReturn, TextIO
 
 import tyro
+from tyro import _errors as refused  # private: pyproject.toml bounds tyro's version
 
 from recast.cli import shared
 from recast.cli.actor import Actor
@@ -33,7 +38,7 @@ from recast.cli.store import Store
 from recast.cli.trellis import Trellis
 from recast.core import diagnostics, files
 from recast.core.diagnostics import Diagnostics
-from recast.core.errors import InputError
+from recast.core.errors import InputError, nearest
 
 
 @dataclass(frozen=True)
@@ -47,29 +52,28 @@ class Completion:
         print(completion_script(self.shell), end="")
 
 
+COMMANDS: shared.Commands = {
+    "demo": Demo,
+    "log": Log,
+    "scene": Scene,
+    "actor": Actor,
+    "recar": Recar,
+    "eval": Eval,
+    "bench": Bench,
+    "trellis": Trellis,
+    "planner": Planner,
+    "scenario": Scenario,
+    "run": Run,
+    "report": Report,
+    "view": View,
+    "serve": Serve,
+    "store": Store,
+    "weights": Weights,
+    "doctor": Doctor,
+    "completion": Completion,
+}
 Command: Any = Annotated[
-    shared.one_of(
-        {
-            "demo": Demo,
-            "log": Log,
-            "scene": Scene,
-            "actor": Actor,
-            "recar": Recar,
-            "eval": Eval,
-            "bench": Bench,
-            "trellis": Trellis,
-            "planner": Planner,
-            "scenario": Scenario,
-            "run": Run,
-            "report": Report,
-            "view": View,
-            "serve": Serve,
-            "store": Store,
-            "weights": Weights,
-            "doctor": Doctor,
-            "completion": Completion,
-        }
-    ),
+    shared.one_of(COMMANDS),
     tyro.conf.arg(help=""),  # else tyro parses its own source for one, in 50 ms
 ]
 
@@ -84,6 +88,8 @@ _LOG = logging.getLogger(__name__)
 def main(args: Sequence[str] | None = None) -> int:
     """Run one command; bad input ends in one line on stderr and exit code 2."""
     words = list(sys.argv[1:] if args is None else args)
+    if isinstance(sys.stdout, TextIOWrapper):  # names of files may not be in a terminal's encoding
+        sys.stdout.reconfigure(errors="backslashreplace")
     command = None
     try:
         where, words = _diagnostics(words)
@@ -156,18 +162,62 @@ def _command(words: Sequence[str]) -> Callable[[], None]:
     """What the words ask for.
 
     Raises:
-        InputError: an unknown command or option, or a value that is none.
-        SystemExit: help was asked for, and given.
+        InputError: an unknown command or option, or a value of another type.
+        SystemExit: help was asked for, or no command was named; the help is printed.
     """
-    shown = StringIO()
+    path, below = _path(words)
+    program, rest = " ".join(("recast", *path)), words[len(path) :]
+    if below and rest and not rest[0].startswith("-"):
+        problem = f"is not a command of {program}"
+        raise InputError("command line", rest[0], problem, _choice(rest[0], below, program))
+    page = _Page(sys.stdout)
     try:
-        with redirect_stderr(shown):
-            command = _parsed(words)
-    except SystemExit as ended:
-        if not ended.code:
-            raise
-        raise _refusal(shown.getvalue()) from None
-    return command
+        with refused.on_parse_error(partial(_refuse, program, rest)), redirect_stdout(page):
+            return _parsed(words if rest or not below else [*path, "--help"])
+    except SystemExit:
+        print(page.fitted(), end="")
+        raise SystemExit(0 if rest or not below else 2) from None
+
+
+def _path(words: Sequence[str]) -> tuple[Sequence[str], shared.Commands]:
+    """The command that words begin with, and its own commands; none if it runs by itself."""
+    below: shared.Commands = COMMANDS
+    for count, word in enumerate(words):
+        if word not in below:
+            return words[:count], below
+        below = getattr(below[word], "commands", {})
+    return words, below
+
+
+class _Page(StringIO):
+    """Collects a help page in the form for a stream: its encoding, and colours on a terminal."""
+
+    def __init__(self, stream: TextIO) -> None:
+        super().__init__()
+        self._stream = stream
+
+    @property
+    def encoding(self) -> str:  # type: ignore[override]
+        """Encoding of the stream; tyro draws frames with ASCII unless it is "utf-8"."""
+        return (self._stream.encoding or "ascii").lower()
+
+    def isatty(self) -> bool:
+        """Whether tyro shall colour the page."""
+        return self._stream.isatty() and not os.environ.get("NO_COLOR")
+
+    def fitted(self) -> str:
+        """The page, with the lines wrapped that tyro does not wrap: those above the boxes."""
+        columns = shutil.get_terminal_size().columns
+        first, *lines = self.getvalue().splitlines() or [""]
+        usage = re.sub(r"\x1b\[[\d;]*m", "", first).replace(",", ", ")
+        if not usage.startswith("usage: "):
+            return self.getvalue()
+        wrapped = textwrap.wrap(usage, columns, subsequent_indent=" " * len("usage: "))
+        for line in lines:
+            plain = "\x1b" not in line and len(line) > columns
+            wrapped += textwrap.wrap(line, columns) if plain else [line.rstrip()]
+        text = "\n".join((*wrapped, ""))
+        return text if self.encoding == "utf-8" else text.replace("•", "*")
 
 
 def _parsed(words: Sequence[str]) -> Callable[[], None]:
@@ -195,24 +245,86 @@ def completion_script(shell: str) -> str:
     return script.getvalue().replace("complete -F ", "complete -o default -F ")
 
 
-def _refusal(boxed: str) -> InputError:
-    """One line of the box that tyro draws: title, problem, rule, perhaps options alike, rule, help.
+def _refuse(program: str, words: Sequence[str], event: refused.ParseErrorEvent) -> None:
+    """Raise what tyro is about to print as an error of one line.
 
-    Its frame is of lines or of ASCII. Explanations of options are indented by eight and left out.
+    Args:
+        program: the command, such as "recast log info".
+        words: words after it.
     """
-    first, *framed = boxed.splitlines() or ["options"]
-    rows = [row[2:].rstrip(" │") for row in framed if not row.startswith("╰")]
-    if rows and not rows[0].strip("-"):  # below the title, in ASCII
-        del rows[0]
-    rule = next((i for i, row in enumerate(rows) if not row.strip(" ─-")), len(rows))
-    said = " ".join(row.strip() for row in rows[:rule] if not row.startswith(" " * 8))
-    alike = ""
-    if any(row.startswith("Perhaps you meant") for row in rows):
-        option = next(row.split()[0] for row in rows[rule:] if row.startswith("    --"))
-        alike = f"did you mean {option}? "
-    asked = (re.search(r"recast[a-z0-9 -]* --help", row) for row in rows)
-    shown = next((found[0] for found in asked if found), "recast --help")
-    title = first.strip("╭╮─ ").lower()
-    said = re.sub(f"(?i)^{re.escape(title)}:? *", "", said).rstrip(".")
-    mend = f"{alike}see {shown}"
-    return InputError("command line", title, said, mend)
+    options = _options(program)
+    for word in words:
+        option = word.partition("=")[0].replace("_", "-")
+        if option.startswith("--") and option not in ("--", *options):
+            problem = f"is not an option of {program}"
+            hint = _choice(option, options, program)
+            if isinstance(event, refused.BadValue | refused.MissingArgs):
+                names = (_shown(argument) for argument in _arguments(event))
+                if (name := option[2:].upper()) in names:
+                    hint = f"give {name} without {option}; see {program} --help"
+            raise InputError("command line", option, problem, hint)
+    see = f"see {program} --help"
+    if isinstance(event, refused.MissingArgs):
+        missing = [_shown(argument) for argument in _arguments(event)]
+        problem = "is missing" if len(missing) == 1 else "are missing"
+        raise InputError("command line", ", ".join(missing), problem, see)
+    if isinstance(event, refused.UnrecognizedArgs):
+        problem = f"is not an argument of {program}"
+        raise InputError("command line", event.tokens[0], problem, see)
+    argument = getattr(event, "argument", None)
+    if argument is None:
+        return  # of a kind that no command of ours has: in tyro's words
+    name = _shown(argument).partition(" ")[0]
+    if isinstance(event, refused.InvalidChoice):
+        choices = sorted({*event.choices} - {"None"})
+        hint = _choice(event.value, choices, program)
+        raise InputError("command line", name, f"is {event.value!r}", hint)
+    wanted = str(argument.lowered.metavar)
+    give = f"give {_TYPES.get(wanted, wanted)}; {see}"
+    if isinstance(event, refused.BadValue):
+        raise InputError("command line", name, "has no value", give)
+    if isinstance(event, refused.InstantiationFailure):
+        values = re.search(r"instantiated from (\[.*\])", event.message)
+        if values is None:
+            raise InputError("command line", name, event.message, see)
+        given = " ".join(ast.literal_eval(values[1]))
+        raise InputError("command line", name, f"is {given!r}", give)
+
+
+_TYPES = {"INT": "an integer", "FLOAT": "a number"}
+
+
+def _arguments(event: refused.MissingArgs | refused.BadValue) -> list[Any]:
+    if isinstance(event, refused.BadValue):
+        return [event.argument]
+    return [missing.arg for missing in event.missing_arguments]
+
+
+def _shown(argument: Any) -> str:
+    """An argument in a message: "--out PATH", or its name in capitals if it has no option."""
+    if argument.is_positional():
+        return str(argument.field.intern_name).upper()
+    return str(argument.get_invocation_text()[1].as_str_no_ansi())
+
+
+def _options(program: str) -> list[str]:
+    """All options of a command, as its help page lists them."""
+    page = StringIO()
+    with redirect_stdout(page), suppress(SystemExit):
+        _parsed([*program.split()[1:], "--help"])
+    lines = re.findall(r"^[^-\w]*(-[-\w].*?)(?:  |$)", page.getvalue(), flags=re.MULTILINE)
+    ours = ["--version", "--verbose", "--log-file"] if program == "recast" else []
+    return [*ours, *(option for line in lines for option in re.findall(r"--[\w-]+", line))]
+
+
+def _choice(word: str, choices: Iterable[str], program: str) -> str:
+    """The hint for a word that is not among the choices: the next alike, else all if they fit."""
+    alike = nearest(word, choices)
+    if alike is not None:
+        return f"did you mean {alike}? see {program} --help"
+    names = ", ".join(choices)
+    return f"choose one of {names}" if len(names) < _MOST_NAMES else f"see {program} --help"
+
+
+_MOST_NAMES = 160
+"""Characters of a list of choices in one line, at most."""

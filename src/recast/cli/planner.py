@@ -133,7 +133,8 @@ class Train:
     start: Annotated[
         Path | None,
         shared.option(
-            "Planner folder with the initial weights; its network must have the same sizes.",
+            "Planner folder with the initial weights, gtrs-mini or gtrs-mini-oracle (in the "
+            "package); its network must have the same sizes.",
             "random weights",
         ),
     ] = None
@@ -151,11 +152,13 @@ class Train:
 
         from recast.planning.gtrs_training.task import chosen_training
         from recast.planning.gtrs_training.train import train_planner
+        from recast.weights import located
 
         torch.set_num_threads(self.threads)
         console = console_for(False)
         config = chosen_training(self.config, self.seed, self.steps, self.oracle_only)
-        reached = train_planner(self.dataset, self.out, config, console, self.start)
+        start = located("--start", self.start)
+        reached = train_planner(self.dataset, self.out, config, console, start)
         for name, value in reached.means().items():
             console.print(f"{name}: {value:.4g}", highlight=False)
         console.print(f"wrote {self.out}; next: recast planner export {self.out}", markup=False)

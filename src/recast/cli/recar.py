@@ -25,8 +25,8 @@ class Targets:
     set: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="SET")]
     """Vehicle set, in folders or shards."""
     model: Path
-    """Model folder in the published layout (pipeline.json and ckpts/), or trellis (recast
-    weights)."""
+    """Model folder in the published layout (pipeline.json, ckpts/), recast-mini (in the package)
+    or trellis (recast weights)."""
     out: Path
     """Cache folder; the same command resumes, and a larger set extends the cache."""
     seed: Annotated[int, shared.SEED] = 0

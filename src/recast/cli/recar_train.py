@@ -110,7 +110,8 @@ class Train:
     """
 
     model: Path
-    """Model folder to start from (published layout), or trellis (recast weights)."""
+    """Model folder to start from (published layout), recast-mini (in the package) or trellis
+    (recast weights)."""
     targets: Path
     """Cache of pseudo-targets, from `recast recar targets`."""
     set: Path

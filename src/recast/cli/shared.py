@@ -22,8 +22,8 @@ def one_of(commands: Commands) -> Any:
 
 
 def group(text: str, commands: Commands) -> type:
-    """A command that does nothing but one of these."""
-    members = {"__doc__": text, "__call__": lambda self: self.command()}
+    """A command that does nothing but one of these; its class has them as `commands`."""
+    members = {"__doc__": text, "__call__": lambda self: self.command(), "commands": commands}
     return make_dataclass("Group", [("command", one_of(commands))], frozen=True, namespace=members)
 
 

@@ -17,7 +17,8 @@ class Verify:
     """Check names, shapes, types and sizes of the weights in a model folder."""
 
     folder: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="DIR")]
-    """Folder in the published layout: pipeline.json and ckpts/."""
+    """Folder in the published layout (pipeline.json and ckpts/), recast-mini (in the package) or
+    trellis (recast weights)."""
     values: bool = False
     """Read every tensor, and check that all values are finite."""
     json: Annotated[bool, JSON] = False
@@ -29,15 +30,17 @@ class Verify:
             first_fault,
             verify_checkpoint,
         )
+        from recast.weights import located
 
-        checks = verify_checkpoint(self.folder, values=self.values)
+        folder = located("--model", self.folder)
+        checks = verify_checkpoint(folder, values=self.values)
         console = console_for(self.json)
         if self.json:
             from recast.cli.rows.vehicles import check_rows
 
             print_json(check_rows(checks))
         else:
-            console.print(check_table(checks, self.folder))
+            console.print(check_table(checks, folder))
         for check in checks:
             for line in check_details(check):
                 console.print(line, markup=False, highlight=False, soft_wrap=True)
@@ -51,14 +54,16 @@ class Export:
     """Write the weights that generation needs, in half precision, to a smaller model folder."""
 
     folder: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="DIR")]
-    """Folder in the published layout: pipeline.json and ckpts/."""
+    """Folder in the published layout (pipeline.json and ckpts/), recast-mini (in the package) or
+    trellis (recast weights)."""
     out: Path
     """New model folder."""
 
     def __call__(self) -> None:
         from recast.trellis.checkpoints import export_model
+        from recast.weights import located
 
-        export_model(self.folder, self.out)
+        export_model(located("--model", self.folder), self.out)
         size = sum(path.stat().st_size for path in self.out.rglob("*") if path.is_file())
         console_for(False).print(
             f"wrote {self.out}: {size / 1e6:.1f} MB", markup=False, soft_wrap=True

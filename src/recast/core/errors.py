@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import re
 import unicodedata
+from collections.abc import Iterable
+from difflib import get_close_matches
 from pathlib import Path
 
 LINE_LIMIT = 300
@@ -40,7 +43,7 @@ class InputError(ValueError):
 
     def line(self, page: str | None) -> str:
         """The whole message in one line; a page is named at its end."""
-        ending = "" if page is None else f"; see {page}"
+        ending = "" if page is None else f"{'' if self.mend.endswith('?') else ';'} see {page}"
         names = printable(self.where), printable(self.field)
         # Texts of libraries may span lines; names may not.
         texts = (printable(" ".join(text.split())) for text in (self.problem, self.mend))
@@ -76,12 +79,52 @@ def printable(text: str) -> str:
     )
 
 
+def nearest(word: str, choices: Iterable[str]) -> str | None:
+    """The choice that is spelled most alike, for "did you mean"; None if there is none alike."""
+    by_lower = {choice.lower(): choice for choice in choices}
+    alike = get_close_matches(word.lower(), by_lower, 1)
+    return by_lower[alike[0]] if alike else None
+
+
 def _fitted(parts: list[str], limit: int) -> list[str]:
-    """The parts, the longest of them shortened until all have `limit` characters together."""
-    cap = max(len(part) for part in parts)
-    while sum(min(len(part), cap) for part in parts) > limit:
-        cap -= 1
-    where, *others = parts
-    if len(where) > cap:
-        where = "…" + where[len(where) - cap + 1 :]  # a path is known by its end
-    return [where, *(part if len(part) <= cap else part[: cap - 1] + "…" for part in others)]
+    """Where, field, problem and hint, shortened to `limit` characters together.
+
+    Users act by the hint and the field, so lists of names go first, then the problem and the
+    path; the hint itself goes last.
+    """
+    parts = list(parts)
+    for index, kept, shorten in _STEPS:
+        over = sum(map(len, parts)) - limit
+        if over > 0 and len(parts[index]) > kept:
+            parts[index] = shorten(parts[index], max(kept, len(parts[index]) - over))
+    return parts
+
+
+def _head(text: str, length: int) -> str:
+    return text[: length - 1] + "…"
+
+
+def _tail(text: str, length: int) -> str:
+    return "…" + text[len(text) - length + 1 :]  # a path is known by its end
+
+
+def _shorter_list(text: str, length: int) -> str:
+    """`text` without the last names of its longest list; longer than asked for if they are few."""
+    lists = re.findall(r"[^\s,;]+(?:, (?!or\b|and\b)[^\s,;]+)+", text)
+    names = max(lists, key=len, default="").split(", ")
+    kept = names[:]
+    while len(kept) > 2 and len(text) - len(", ".join(names)) + len(", ".join(kept)) + 3 > length:
+        kept.pop()
+    return text if kept == names else text.replace(", ".join(names), ", ".join((*kept, "…")))
+
+
+_WHERE, _FIELD, _PROBLEM, _HINT = range(4)
+_STEPS = (
+    (_HINT, 0, _shorter_list),
+    (_PROBLEM, 110, _head),
+    (_WHERE, 60, _tail),
+    (_PROBLEM, 60, _head),
+    (_FIELD, 60, _head),
+    (_HINT, 60, _head),
+)
+"""Parts of a line in the order in which they are shortened, each to this many characters."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib
 import inspect
 import os
+import traceback
 from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field
@@ -12,8 +13,8 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from recast.core.errors import InputError
-from recast.core.source_files import source_files
+from recast.core.errors import InputError, nearest
+from recast.core.source_files import search_folder, source_files
 
 if TYPE_CHECKING:
     from importlib.metadata import EntryPoints
@@ -184,18 +185,30 @@ class Registry:
         if not module.startswith("recast."):  # what it does to torch is put back only if it is here
             with suppress(ImportError):
                 importlib.import_module("torch")
+        search_folder()
         try:
             with process_kept(seed=0):
-                return getattr(importlib.import_module(module), attribute)
+                imported = importlib.import_module(module)
         except KeyboardInterrupt:
             raise
         except BaseException as error:
-            raise InputError(
-                self.kind,
-                name,
-                f"cannot be imported ({type(error).__name__}: {error})",
-                "check the path and the installation",
-            ) from error
+            reason, hint = f"{error}{_place_of(error)}", "correct that module"
+            if not module:
+                reason, hint = str(error), "give module:attribute"
+            elif isinstance(error, ModuleNotFoundError) and f"{module}.".startswith(
+                f"{error.name}."
+            ):
+                top = module.partition(".")[0]
+                reason, hint = str(error), f"run in the folder that holds {top}, or install it"
+            problem = f"cannot be imported ({type(error).__name__}: {reason})"
+            raise InputError(self.kind, name, problem, hint) from error
+        if not hasattr(imported, attribute):
+            near = nearest(attribute, dir(imported))
+            file = getattr(imported, "__file__", None) or module
+            hint = f"did you mean {module}:{near}?" if near else "give the name of a class in it"
+            problem = f"cannot be imported: {file} does not define {attribute!r}"
+            raise InputError(self.kind, name, problem, hint)
+        return getattr(imported, attribute)
 
     def _path(self, name: str) -> str:
         """The "module:attribute" of a name."""
@@ -204,14 +217,19 @@ class Registry:
             return path
         plugins = entry_points(group=self.group)
         if name not in plugins.names:
-            raise InputError(self.kind, name, "is not known", self._choices())
+            raise InputError(self.kind, name, "is not known", self._choices(name))
         return plugins[name].value
 
-    def _choices(self) -> str:
+    def _choices(self, name: str) -> str:
         from recast.weights import PUBLISHED
 
+        published = [name for name, entry in PUBLISHED.items() if entry.part == self.kind]
+        if near := nearest(name, [*self.names(), *published]):
+            return f"did you mean {near}?"
+        if "." in name:
+            return f"did you mean {':'.join(name.rsplit('.', 1))}?"
         ways = [
-            *(f"the weights {name}" for name, one in PUBLISHED.items() if one.part == self.kind),
+            *(f"the weights {name}" for name in published),
             *(["a folder"] if self.folder else []),
             *(f"a file *{suffix}" for suffix in self.files),
             *(f"{prefix}..." for prefix in self.prefixes),
@@ -235,6 +253,16 @@ class Registry:
         if self.protocol:
             mend += f"; see {self.protocol} for what it has"
         raise InputError(self.kind, name, what, mend)
+
+
+def _place_of(error: BaseException) -> str:
+    """The line of a user's module where an exception came from, such as ", planner.py line 3"."""
+    if isinstance(error, SyntaxError):
+        return ""  # its text has the line
+    for frame in reversed(traceback.extract_tb(error.__traceback__)):
+        if not frame.filename.startswith("<frozen"):
+            return f", {os.path.basename(frame.filename)} line {frame.lineno}"  # noqa: PTH119
+    return ""
 
 
 def _called(code: Callable[..., Any], options: Mapping[str, Any]) -> Any:

@@ -40,7 +40,9 @@ class Bars:
         return self
 
     def __exit__(self, *fault: object) -> None:
-        """Stop drawing."""
+        """Stop drawing; bars on which an error left nothing done disappear."""
+        if any(fault) and not any(task.completed for task in self._bars.tasks):
+            self._bars.live.transient = True
         self._bars.stop()
 
 

@@ -58,7 +58,10 @@ def on_ray(address: str, workers: int, gpu: bool = False) -> WorkerPool:
             gpus = 1 if gpu and ray.cluster_resources().get("GPU", 0) else 0
             remote: Any = ray.remote(num_cpus=1, num_gpus=gpus)(_RemoteWorker)
             records = diagnostics.current()
-            actors = [remote.remote(start, number, arguments, records) for number in range(workers)]
+            here = str(Path.cwd())
+            actors = [
+                remote.remote(start, number, arguments, records, here) for number in range(workers)
+            ]
             yield from _outcomes(ray, actors, take)
         except ray.exceptions.RayTaskError as error:
             if isinstance(error.cause, InputError):
@@ -107,11 +110,14 @@ class _RemoteWorker:
         number: int,
         arguments: tuple[Any, ...],
         records: Diagnostics,
+        folder: str,
     ) -> None:
         import torch  # noqa: F401  (so that its threads are set)
 
+        from recast.core.source_files import search_folder
         from recast.core.workers import use_threads
 
+        search_folder(folder)  # users' code, on machines that have this folder
         self._records = records
         use_threads(1)
         self._start = lambda: start(number, *arguments)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import ast
 import importlib.util
 import os
+import sys
 from collections.abc import Iterator
 from importlib.machinery import EXTENSION_SUFFIXES, SOURCE_SUFFIXES
 from pathlib import Path
@@ -12,6 +13,21 @@ from pathlib import Path
 _OURS = __name__.partition(".")[0]
 _SOURCES = (*SOURCE_SUFFIXES, *EXTENSION_SUFFIXES)
 _INSTALLED = frozenset({"site-packages", "dist-packages"})
+
+
+def search_folder(folder: str | None = None) -> None:
+    """Let Python find the modules of a folder from now on, after those of all other places.
+
+    Commands start from a script of the installation, so Python does not look into the present
+    folder. `python -m` puts it first; here it comes last, so that a user's `random.py` replaces
+    nothing that recast imports. As there, `python -P` and PYTHONSAFEPATH prevent it.
+
+    Args:
+        folder: absolute path; the present folder if None.
+    """
+    folder = os.getcwd() if folder is None else folder  # noqa: PTH109 (a text, as in sys.path)
+    if not sys.flags.safe_path and folder not in sys.path:
+        sys.path.append(folder)
 
 
 def source_files(name: str) -> tuple[Path, ...]:
@@ -41,6 +57,7 @@ def source_files(name: str) -> tuple[Path, ...]:
 
 def _places(top: str) -> list[Path]:
     """Folders of a top-level package, or the file of a module; empty if there is none."""
+    search_folder()
     try:
         spec = importlib.util.find_spec(top)
     except (ImportError, ValueError):  # an empty name, or a module without a specification

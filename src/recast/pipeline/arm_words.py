@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Sequence
 from pathlib import Path
 
 from recast.core import files
-from recast.core.errors import InputError
+from recast.core.errors import InputError, nearest
+from recast.core.plugins import GENERATORS
 from recast.core.records import validated
 from recast.core.yaml_lines import nodes_of, read_yaml_file
 from recast.pipeline.arms import NOISES, OWN_STREET, PRESETS, TRUTH, Arm, default_arms
 from recast.pipeline.decomposition import DECOMPOSITION, decomposition_arms
 from recast.pipeline.paper import PAPER, paper_arms
 from recast.scene.store import SCENE_FILE
+from recast.weights import PUBLISHED
 
 NOISE_FLOOR = "noise-floor"
 """The word for the truth under each kind of noise."""
@@ -64,7 +67,29 @@ def _arms_of(word: str) -> Sequence[Arm]:
     street = TRUTH if street == Arm.oracle().name else street
     if plus and (street == TRUTH or is_street(street)):
         return [_combined(word, street, vehicle)]
+    _require_generator(word, word)
     return [Arm.replaced(word)]
+
+
+def _require_generator(word: str, generator: str) -> None:
+    """Refuse an arm that can only be a generator, and is not one.
+
+    Names of installed parts, weights and paths are looked up when the arm is made.
+    """
+    weights = PUBLISHED.get(generator)
+    names = GENERATORS.names()
+    if (
+        generator in names
+        or (weights and weights.part == GENERATORS.kind)
+        or any(mark in generator for mark in (":", "/", os.sep, "."))
+        or Path(generator).exists()
+    ):
+        return
+    arms = [*(arm.name for arm in (*default_arms(), Arm.oracle())), *names, *PRESETS]
+    arms += [PAPER, DECOMPOSITION, NOISE_FLOOR]
+    near = nearest(generator, arms)
+    hint = f"did you mean {near}?" if near else f"give {', '.join(arms)}, or a file of arms"
+    raise InputError("`arm`", word, "is not known", hint)
 
 
 def _disturbed(arm: Arm, noise: str = _ALL_NOISE) -> Sequence[Arm]:
@@ -83,6 +108,8 @@ def _combined(word: str, street: str, vehicle: str) -> Arm:
         return Arm.oracle(street)
     if vehicle == "none":
         return Arm.empty(street)
+    if vehicle not in ("native", "replaced"):
+        _require_generator(word, vehicle)
     if vehicle != "native":
         return Arm.replaced(None if vehicle == "replaced" else vehicle, street)
     if street == TRUTH:

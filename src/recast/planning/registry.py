@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
+from recast import weights
 from recast.core.errors import InputError
 from recast.core.plugins import PLANNERS
 from recast.planning.types import Planner
@@ -112,7 +113,7 @@ def planner_device(name: str = "auto") -> str:
 def shipped_folder(name: str = GTRS_MINI) -> Path:
     """The folder of a planner that comes with the package, as `recast.planning.gtrs.save_gtrs`
     writes it."""
-    return Path(__file__).parent / name
+    return weights.shipped_folder(name)
 
 
 def gtrs_mini_planner(device: str = "cpu") -> Planner:

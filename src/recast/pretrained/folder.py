@@ -129,9 +129,8 @@ class PretrainedFolder:
 
     @property
     def _mend(self) -> str:
-        wanted = "config.json, model.safetensors, preprocessor_config.json"
-        wanted += " and the tokenizer's files" if self.text else ""
-        return f"download {wanted} of {self.repositories} from Hugging Face into this folder"
+        tokenizer = ", with its tokenizer" if self.text else ""
+        return f"download {self.repositories}{tokenizer}, into this folder"
 
     def _refusal(self, field: str, problem: str) -> InputError:
         return InputError(self.path, field, problem, self._mend)

@@ -15,6 +15,7 @@ from torch import Tensor
 
 from recast.core.errors import InputError
 from recast.splats import Gaussians
+from recast.weights import shipped_folder
 
 TRAINED_VOXEL_SHARE = 8
 """The published networks were trained on structures of at most 8 R^2 = 32,768 voxels at R = 64."""
@@ -180,7 +181,7 @@ class Stopwatch:
 
 def recast_mini() -> Path:
     """Its folder in the published layout, with a model card (README.md)."""
-    return Path(__file__).parent / RECAST_MINI
+    return shipped_folder(RECAST_MINI)
 
 
 def viewer_frame(gaussians: Gaussians) -> Gaussians:

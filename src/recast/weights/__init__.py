@@ -1,6 +1,6 @@
 """Published weights by name: fetched once, checked against a record, read offline afterwards."""
 
-from recast.weights.fetched import RECAST_WEIGHTS, located, place, weights_folder
+from recast.weights.fetched import RECAST_WEIGHTS, located, place, shipped_folder, weights_folder
 from recast.weights.table import PUBLISHED, Licence, Source, Weights, published
 
 __all__ = [
@@ -12,5 +12,6 @@ __all__ = [
     "located",
     "place",
     "published",
+    "shipped_folder",
     "weights_folder",
 ]

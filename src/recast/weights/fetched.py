@@ -12,7 +12,7 @@ from typing import Annotated, Any, Literal, overload
 from pydantic import Field, NonNegativeInt
 
 from recast.core import files
-from recast.core.errors import InputError
+from recast.core.errors import InputError, nearest
 from recast.core.names import member
 from recast.core.records import Record, read_record
 from recast.weights.table import PUBLISHED, Weights
@@ -23,6 +23,20 @@ RECORD_FILE = "weights.json"
 _FORMAT: Literal["recast-weights"] = "recast-weights"
 
 Sha256 = Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]
+
+
+_PACKAGE = Path(__file__).parents[1]
+_SHIPPED = {
+    "recast-mini": (_PACKAGE / "trellis", "--model"),
+    "gtrs-mini": (_PACKAGE / "planning", "--start"),
+    "gtrs-mini-oracle": (_PACKAGE / "planning", "--start"),
+}
+"""Networks that come with the package: name to the folder above and the option that takes it."""
+
+
+def shipped_folder(name: str) -> Path:
+    """The folder of a network that comes with the package, such as "recast-mini"."""
+    return _SHIPPED[name][0] / name
 
 
 def weights_folder(*parts: str) -> Path:
@@ -59,15 +73,25 @@ def located(option: str, value: Path | None) -> Path | None:
     """What the value of an option that takes a path stands for.
 
     Args:
-        value: a path, which is given back if it exists; or a name of published weights.
+        option: option such as "--model"; it decides which names are valid.
+        value: a path, which is given back if it exists; or the name of published weights or of a
+            network that comes with the package.
 
     Raises:
-        InputError: see `place`.
+        InputError: `value` is none of these, or see `place`.
     """
     if value is None or value.exists():
         return value
-    weights = PUBLISHED.get(str(value))
-    return opened(weights) if weights is not None and option in weights.options else value
+    name = str(value)
+    shipped = [name for name, (_, taker) in _SHIPPED.items() if taker == option]
+    if name in shipped:
+        return shipped_folder(name)
+    names = [*shipped, *(name for name, entry in PUBLISHED.items() if option in entry.options)]
+    if name in names:
+        return opened(PUBLISHED[name])
+    near = nearest(name, names)
+    hint = f"did you mean {near}?" if near else f"give a path, or {' or '.join(names)}"
+    raise InputError(option, name, "does not exist", hint)
 
 
 def opened(weights: Weights) -> Path:
