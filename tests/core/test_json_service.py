@@ -161,9 +161,7 @@ def test_a_server_refuses_what_is_no_body_it_takes(service: JsonService) -> None
         ("application/json", b"1e999"),
     ):
         with socket.create_connection((service.host, service.port), timeout=20) as caller:
-            head = (
-                f"POST /echo HTTP/1.1\r\nHost: x\r\nConnection: close\r\nContent-Type: {kind}\r\n"
-            )
+            head = f"POST /echo HTTP/1.1\r\nHost: localhost\r\nConnection: close\r\nContent-Type: {kind}\r\n"
             caller.sendall(f"{head}Content-Length: {len(body)}\r\n\r\n".encode() + body)
             status[body] = int(caller.recv(100).split()[1])
     assert status == {b"{}": 415, b"{": 400, b"1e999": 400}
@@ -175,7 +173,7 @@ def test_a_body_that_does_not_come_is_not_waited_for(
 ) -> None:
     monkeypatch.setattr(web_server, "_BODY_SECONDS", 0.2)
     with socket.create_connection((service.host, service.port), timeout=20) as caller:
-        head = "POST /echo HTTP/1.1\r\nHost: x\r\nContent-Type: application/json\r\n"
+        head = "POST /echo HTTP/1.1\r\nHost: localhost\r\nContent-Type: application/json\r\n"
         caller.sendall(f"{head}Content-Length: 5\r\n\r\n12".encode())
         assert caller.recv(100).split()[1] == b"408"
 

@@ -149,5 +149,5 @@ def test_cells_come_back_and_go_stale(tmp_path: Path) -> None:
     (folder / "features.npz").write_bytes(b"PK cut short")
     with pytest.raises(InputError, match="remove it and run again"):
         read_cell(folder)
-    with pytest.raises(InputError, match=r"other.png: picture: cannot be read"):
+    with pytest.raises(InputError, match=r"other.png: file: is missing"):
         read_strip(folder, "other")

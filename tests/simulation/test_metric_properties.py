@@ -112,7 +112,7 @@ def assert_mirrored(log, make: Make, motion: ScriptedMotion, steps: int = STEPS)
     first = drove(log, make(), motion, steps)
     second = drove(other, make(), seen_in_a_mirror(motion), steps)
     for name in ("ego", "actor"):
-        found, expected = getattr(second, name), mirrored_states(getattr(first, name))
+        found, expected = getattr(second, name).copy(), mirrored_states(getattr(first, name))
         turn = se2.wrap_angle(found[:, 2] - expected[:, 2])
         np.testing.assert_allclose(turn, 0.0, atol=1e-7)
         found[:, 2] = expected[:, 2]

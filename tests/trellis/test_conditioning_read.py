@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import zlib
 from pathlib import Path
 
 import cv2
@@ -75,27 +76,27 @@ def test_stored_orientation_is_applied(tmp_path: Path):
 def test_photograph_without_alpha(tmp_path: Path):
     Image.fromarray(_square()[..., :3]).save(tmp_path / "street.jpg")
     line = _unreadable(tmp_path / "street.jpg")
-    assert "alpha: is absent (mode RGB)" in line and "recast actor make" in line
+    assert "alpha: is absent" in line and "recast actor make" in line
 
 
 def test_palette_without_alpha(tmp_path: Path):
     Image.fromarray(_square()[..., :3]).quantize(4).save(tmp_path / "street.png")
-    assert "alpha: is absent (mode P)" in _unreadable(tmp_path / "street.png")
+    assert "alpha: is absent" in _unreadable(tmp_path / "street.png")
 
 
 def test_missing_file(tmp_path: Path):
-    assert "picture: is missing" in _unreadable(tmp_path / "none.png")
+    assert "file: is missing" in _unreadable(tmp_path / "none.png")
 
 
 def test_no_picture(tmp_path: Path):
     (tmp_path / "car.png").write_text("no picture")
-    assert "picture: cannot be read (cannot identify image file)" in _unreadable(
+    assert "picture: cannot be decoded (it is none of BMP, JPEG, PNG" in _unreadable(
         tmp_path / "car.png"
     )
 
 
 def test_folder_instead_of_a_file(tmp_path: Path):
-    assert "picture: cannot be read" in _unreadable(tmp_path)
+    assert "file: is a folder" in _unreadable(tmp_path)
 
 
 def test_picture_cut_short(tmp_path: Path):
@@ -103,13 +104,16 @@ def test_picture_cut_short(tmp_path: Path):
     Image.fromarray(noise).save(tmp_path / "car.png")
     data = (tmp_path / "car.png").read_bytes()
     (tmp_path / "car.png").write_bytes(data[: len(data) // 2])
-    assert "picture: cannot be read" in _unreadable(tmp_path / "car.png")
+    assert "picture: cannot be decoded (it is cut short" in _unreadable(tmp_path / "car.png")
 
 
-def test_picture_of_absurd_size(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+def test_picture_of_absurd_size(tmp_path: Path):
     Image.fromarray(_square()).save(tmp_path / "car.png")
-    monkeypatch.setattr(Image, "MAX_IMAGE_PIXELS", 100)
-    assert "picture: cannot be read" in _unreadable(tmp_path / "car.png")
+    data = bytearray((tmp_path / "car.png").read_bytes())
+    data[16:24] = (60_000).to_bytes(4, "big") * 2  # width and height
+    data[29:33] = zlib.crc32(data[12:29]).to_bytes(4, "big")
+    (tmp_path / "car.png").write_bytes(data)
+    assert "size: is 60000x60000" in _unreadable(tmp_path / "car.png")
 
 
 def test_array_without_alpha():

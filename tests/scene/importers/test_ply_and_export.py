@@ -211,7 +211,7 @@ def test_a_sky_is_measured_before_it_is_decoded(scene: StreetScene, tmp_path: Pa
     data[16:24] = (9000).to_bytes(4, "big") * 2  # width and height
     data[29:33] = zlib.crc32(data[12:29]).to_bytes(4, "big")
     (tmp_path / "sky.png").write_bytes(data)
-    with pytest.raises(InputError, match="sky image: is of 9000x9000"):
+    with pytest.raises(InputError, match="size: is 9000x9000"):
         read_sky(tmp_path / "sky.png")
 
 
