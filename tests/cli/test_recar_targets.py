@@ -53,7 +53,7 @@ def test_targets_of_a_set_and_the_same_command_again(
         (("--limit", "0"), "`limit`: value: is 0"),
         (("--retries", "-1"), "`retries`: value: is -1"),
         (("--filter", "aesthetic"), "`predictor`: weights: are not named"),
-        (("--model", "nowhere"), "pipeline.json: is missing"),
+        (("--model", "nowhere"), "nowhere: does not exist"),
         (("--workers", "0"), "`workers`: value: is 0"),
     ],
 )

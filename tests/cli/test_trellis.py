@@ -75,7 +75,7 @@ def test_a_wrong_pipeline(folder: Path, capsys, spoil, message: str) -> None:
 
 
 def test_no_folder(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert "pipeline.json: is missing" in refused(capsys, tmp_path / "nowhere")[1]
+    assert "nowhere: does not exist" in refused(capsys, tmp_path / "nowhere")[1]
 
 
 def test_an_exported_model_is_half_as_large_and_makes_almost_the_same(

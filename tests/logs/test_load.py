@@ -91,7 +91,7 @@ def test_an_importer_of_the_user(importer: Any) -> None:
         ("data", {"importer": own}, "importer: own: needs the name of a drive"),
         ("s3://data", {"importer": own, "drive": "x"}, "cannot read s3://data; name a local f"),
         (3, {"importer": own, "drive": "x"}, "cannot read int"),
-        ("data", {"importer": "kiti", "drive": "x"}, "kiti: is not known; choose one of alpas"),
+        ("data", {"importer": "kiti", "drive": "x"}, "kiti: is not known; did you mean kitti"),
         ("data", {"importer": 3, "drive": "x"}, "importer: int: is int, which lacks __call__"),
         ("data", {"importer": invalid, "drive": "x"}, "name: .* holds half a character"),
     ],

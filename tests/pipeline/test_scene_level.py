@@ -149,7 +149,7 @@ def test_bad_input_is_one_line(
     cases = {
         ("--every", "0"): "--every: value: is 0",
         ("--references", "0"): "--references: value: is 0",
-        ("--inception", str(tmp_path / "none.pth")): "inception: is missing",
+        ("--inception", str(tmp_path / "none.pth")): "none.pth: does not exist",
         ("--lpips-weights", str(tmp_path / "other.pth")): "other.pth: ",
         ("--vqa", "nothing"): "VQA scorer: nothing: is not known",
         ("--clip", "clip-vit-l14"): "run `recast weights get clip-vit-l14`",

@@ -193,8 +193,9 @@ def test_weights_that_are_refused(
     with pytest.raises(InputError, match=message):
         load_clip_t5(folder)
     save_file({**state, lost: taken * torch.nan}, folder / "model.safetensors")
-    with pytest.raises(InputError, match="not finite"):
+    with pytest.raises(InputError) as caught:
         load_clip_t5(folder)
+    assert "not finite" in caught.value.problem  # behind the shape
     save_file({**state, lost: taken, "lora.weight": taken.clone()}, folder / "model.safetensors")
     with pytest.raises(InputError, match=r"has 1 more, first lora.weight"):
         load_clip_t5(folder)
