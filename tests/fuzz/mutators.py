@@ -7,6 +7,8 @@ reader's first check would see nearly all of them.
 
 from __future__ import annotations
 
+import copy
+import gzip
 import io
 import json
 import pickle
@@ -446,6 +448,30 @@ def mutate_pickle(data: bytes, rng: Rng) -> bytes:
     return pickle.dumps(tree, int(rng.integers(6)))
 
 
+def mutate_spz(data: bytes, rng: Rng) -> bytes:
+    """The fields of an SPZ file in gzip, packed again; else the numbers of its header."""
+    if data[:2] == b"\x1f\x8b":
+        return gzip.compress(mutate_bytes(gzip.decompress(data), rng), 1)
+    return mutate_array(data[:64], rng, "<u4") + data[64:]
+
+
+def mutate_message(data: bytes, rng: Rng) -> bytes:
+    """Values of a sensorsim request."""
+    from google.protobuf.json_format import Error, MessageToDict, ParseDict
+
+    from recast.protocols.alpasim.messages import message, parse
+
+    tree = MessageToDict(parse("RGBRenderRequest", data))
+    for _ in range(20):
+        try:
+            made = ParseDict(mutate_tree(copy.deepcopy(tree), rng), message("RGBRenderRequest"))
+        except Error:  # a value that no message can hold
+            continue
+        encoded: bytes = made.SerializeToString()
+        return encoded
+    return mutate_bytes(data, rng)
+
+
 BY_SUFFIX: dict[str, Mutator] = {
     ".json": mutate_json,
     ".yaml": mutate_yaml,
@@ -466,6 +492,9 @@ BY_SUFFIX: dict[str, Mutator] = {
     ".obj": mutate_text,
     ".mtl": mutate_text,
     ".glb": mutate_glb,
+    ".spz": mutate_spz,
+    ".usda": mutate_text,
+    ".pb": mutate_message,
     ".bin": lambda data, rng: mutate_array(data, rng, "<f4"),
 }
 

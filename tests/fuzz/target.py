@@ -9,7 +9,7 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any
 
-GROUPS = ("importers", "logs", "scenes", "models", "sets", "runs")
+GROUPS = ("importers", "logs", "scenes", "models", "sets", "runs", "protocols")
 """Modules of `fuzz.targets`, each with a tuple TARGETS."""
 
 

@@ -100,11 +100,25 @@ def repository_files(source: Source) -> tuple[str, dict[str, RemoteFile]]:
             actual(address), params={"blobs": "true"}, headers=_headers(address), timeout=30.0
         )
         hf_raise_for_status(answer)
-        told = files.parse_json(actual(address), answer.content)
-    found = validated(actual(address), told, _Repository, "check the mirror")
+        listing = answer.content
+    return listed_files(source, actual(address), listing)
+
+
+def listed_files(source: Source, where: str, listing: bytes) -> tuple[str, dict[str, RemoteFile]]:
+    """What a listing of a repository says, see `repository_files`.
+
+    Args:
+        where: address that answered, for messages.
+        listing: JSON of the answer.
+
+    Raises:
+        InputError: the answer is of another commit, or not a listing.
+    """
+    value = files.parse_json(where, listing)
+    found = validated(where, value, _Repository, "check the mirror")
     if source.revision not in (None, found.sha):
         problem = f"answers with commit {found.sha}, not {source.revision}"
-        raise InputError(actual(address), "revision", problem, "check the mirror")
+        raise InputError(where, "revision", problem, "check the mirror")
     listed = {
         one.rfilename: RemoteFile(
             address=source.address(one.rfilename, found.sha),

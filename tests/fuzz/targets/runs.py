@@ -15,6 +15,7 @@ from recast.evaluation.trust import packaged_calibration, read_calibration, writ
 from recast.geometry import se3
 from recast.logs.hdmap import HdMap, Lane
 from recast.logs.importers.nuscenes import KEY_FRAMES
+from recast.pipeline.arm_words import parse_arms
 from recast.pipeline.config import RunConfig, read_run_config
 from recast.pipeline.layout import use_name
 from recast.pipeline.rollouts import given_views
@@ -64,6 +65,13 @@ actors:
     jitter: {longitudinal: 1.0, lateral: 0.5, long-lat-angle: -2.1, yaw-jitter: 0.3}
   - {uuid: car-b, mode: optimized, exclusive-group: "1"}
 """
+_ARMS = """\
+- {name: ours, vehicle: generated, generator: template, refine: false, views: 3}
+- name: "true street"
+  street: truth
+  vehicle: generated
+  noise: grey
+"""
 _NCAP_LOG = replace(
     make_log(), metadata={KEY_FRAMES: " ".join(str(5_000_000 + 500_000 * k) for k in range(40))}
 )
@@ -109,6 +117,12 @@ TARGETS = (
         lambda f: (f / "0103.yaml").write_text(_NCAP),
         lambda f, out: ncap_runs(read_ncap_scenario(f / "0103.yaml"), _NCAP_LOG, 4),
         weight=10.0,
+    ),
+    Target(
+        "arms",
+        lambda f: (f / "arms.yaml").write_text(_ARMS),
+        lambda f, out: parse_arms([str(f / "arms.yaml")]),
+        weight=8.0,
     ),
     Target(
         "run-config",

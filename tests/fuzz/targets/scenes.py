@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
@@ -46,8 +47,15 @@ from recast.scene.importers import (
 )
 from recast.splats import read_ply, write_ply
 from recast.splats.formats import FORMATS, FormatName
+from recast.splats.formats.spz import read_spz, write_spz
 from recast.synthetic.vehicles.shapes import read_mesh
-from scene.importers import test_drivestudio, test_hugsim, test_mtgs, test_street_gaussians
+from scene.importers import (
+    test_drivestudio,
+    test_hugsim,
+    test_mtgs,
+    test_odyssey,
+    test_street_gaussians,
+)
 from support import trained_scenes
 
 
@@ -71,6 +79,12 @@ def _actor() -> Actor:
     observation = observe(street, "7", segmenter=BoxLidarSegmenter())
     asset = TemplateGenerator(spacing=0.3).generate(observation, seed=0)
     return register(asset, observation, street, street.tracks["7"])
+
+
+@cache
+def _far_log() -> DrivingLog:
+    offset = test_odyssey.ANCHOR - test_odyssey.RECON_FROM_OFFSET
+    return replace(_log(), world_offset=offset)
 
 
 def _write_config(folder: Path) -> None:
@@ -145,12 +159,16 @@ def _splats(name: FormatName) -> Target:
     )
 
 
+def _tensors(node: Any) -> Any:
+    """The tree with tensors for arrays: a mutator of checkpoints reads tensors alone."""
+    if isinstance(node, dict):
+        return {key: _tensors(inner) for key, inner in node.items()}
+    return torch.from_numpy(node) if isinstance(node, np.ndarray) else node
+
+
 def _write_mtgs(folder: Path) -> None:
     content = test_mtgs.checkpoint()
-    config = content["background"]["config"]  # a mutator of checkpoints reads tensors alone
-    shift = torch.from_numpy(config["recon2world_translation"])
-    config["recon2world_translation"] = shift
-    test_mtgs.save(folder, content, test_mtgs.frames())
+    test_mtgs.save(folder, _tensors(content), test_mtgs.frames())
 
 
 def _write_mtgs_log(folder: Path) -> None:
@@ -166,6 +184,12 @@ TARGETS = (
         weight=12.0,
     ),
     *(_splats(name) for name in FORMATS if name != "ply"),
+    Target(
+        "spz-3",
+        lambda f: write_spz(f / "car.spz", trained_scenes.make_car(1), version=3),
+        lambda f, out: read_spz(f / "car.spz"),
+        weight=4.0,
+    ),
     Target(
         "scene",
         lambda f: save_scene(_scene(), f / "scene"),
@@ -224,6 +248,12 @@ TARGETS = (
         _write_mtgs,
         lambda f, out: import_mtgs(f / test_mtgs.NAME, _log(), out),
         files=("*.ckpt",),
+        weight=2.0,
+    ),
+    Target(
+        "odyssey",
+        lambda f: test_odyssey.save(f / "street", _tensors(test_odyssey.odyssey())),
+        lambda f, out: import_mtgs(f / "street", _far_log(), out),
         weight=2.0,
     ),
     Target(

@@ -5,12 +5,15 @@ from __future__ import annotations
 import tempfile
 from pathlib import Path
 
+import cv2
 import numpy as np
+from PIL import Image
 
 from fuzz.target import Target
-from recar.photographs import SETTINGS, write_photos
+from recar.photographs import SETTINGS, photograph, write_photos
 from recar.sets import write_set
 from recast.core.files import write_json
+from recast.core.images import decode_image, rgba
 from recast.recar.ingest import ingest_photographs
 from recast.recar.ingest.settings import read_table
 from recast.recar.perturb.compose import (
@@ -56,6 +59,21 @@ def _write_asset(folder: Path) -> None:
     write_asset(folder / "asset.npz", asset)
 
 
+def _write_images(folder: Path) -> None:
+    """Photographs as cameras and programs store them."""
+    picture = Image.fromarray(photograph(3))
+    turned = picture.getexif()
+    turned[0x0112] = 6  # orientation
+    picture.convert("RGB").save(folder / "a.jpg", exif=turned)
+    picture.save(folder / "b.tif", exif=turned)
+    picture.convert("P").save(folder / "c.png")
+    picture.save(folder / "d.webp")
+    picture.convert("RGB").save(folder / "e.bmp")
+    deep = np.asarray(picture, np.uint16)[..., :3] * 257
+    for name in ("f.png", "g.tif"):
+        cv2.imwrite(str(folder / name), deep)
+
+
 TARGETS = (
     Target("vehicle-set", lambda f: write_set(f / "cars", 3), _read_set, weight=6.0),
     Target("vehicle-set-record", lambda f: write_set(f / "cars", 3), _read_set, ("*.json",), 6.0),
@@ -74,6 +92,12 @@ TARGETS = (
         ("*.png",),
         2.0,
         True,
+    ),
+    Target(
+        "image-formats",
+        _write_images,
+        lambda f, out: [rgba(decode_image(path, path)) for path in sorted(f.iterdir())],
+        weight=6.0,
     ),
     Target(
         "real-crops",
