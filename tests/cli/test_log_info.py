@@ -114,7 +114,7 @@ def test_what_can_be_replaced_comes_before_what_cannot() -> None:
     assert [track.why.split(";")[0] for track in found[2:]] == [
         f"has {FEWEST_POINTS - 1} LiDAR points, {FEWEST_POINTS} are needed",
         "is in no image",
-        "is no car, van, truck or bus",
+        "is not a car, van, truck or bus",
     ]
 
 

@@ -63,7 +63,7 @@ def test_a_folder_of_something_else_is_refused(
     (tmp_path / "mine.txt").write_text("keep")
     code, _, err = run(capsys, *SYNTH, "1", "--out", tmp_path)
     assert code == 2
-    assert "exists and is no vehicle set" in err
+    assert "exists and is not a vehicle set" in err
     code, _, err = run(capsys, "recar", "stats", tmp_path / "none")
     assert code == 2
     assert "vehicle set: is missing" in err

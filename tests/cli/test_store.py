@@ -67,9 +67,9 @@ def test_prune(store: Store, capsys: pytest.CaptureFixture[str], tmp_path: Path)
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        (("list", "nowhere"), "is no local store"),
-        (("why", "nowhere", "abc"), "is no local store"),
-        (("prune", "s3://bucket/store"), "is no local store"),
+        (("list", "nowhere"), "is not a local store"),
+        (("why", "nowhere", "abc"), "is not a local store"),
+        (("prune", "s3://bucket/store"), "is not a local store"),
     ],
 )
 def test_no_store(words: tuple[str, ...], said: str, capsys: pytest.CaptureFixture[str]) -> None:

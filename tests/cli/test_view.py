@@ -60,7 +60,7 @@ def test_folders_that_cannot_be_shown_are_refused(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     log, nothing = str(tiny_log_folder), str(tmp_path)
-    assert "is no folder" in refused(capsys, str(tmp_path / "missing"))
+    assert "is not a folder" in refused(capsys, str(tmp_path / "missing"))
     assert "nothing that can be shown" in refused(capsys, nothing)
     assert "second log" in refused(capsys, log, log)
     assert "outside of a run folder" in refused(capsys, str(rollout_folder))

@@ -12,7 +12,7 @@ NAMES = ", ".join(f"vehicle-number-{number}" for number in range(90))
 @pytest.mark.parametrize(
     ("problem", "hint"),
     [
-        (f"is none of {NAMES}", "give the id of a track"),
+        (f"is not one of {NAMES}", "give the id of a track"),
         ("is not known", f"choose one of {NAMES}, or give a file of arms"),
         ("a" * 999, "give the id of a track"),
     ],

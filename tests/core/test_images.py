@@ -162,7 +162,7 @@ WEBP = b"RIFF\x1a\0\0\0WEBPVP8X\x0a\0\0\0" + bytes(4) + b"\xff\xff\x01\xff\xff\x
         (b"\0\0\0\x18ftypheic" + bytes(30), "it begins like HEIC or AVIF"),
         (b"v/1\x01" + bytes(30), "it begins like OpenEXR"),
         (b"version https://git-lfs.github.com/spec/v1", "it begins like a Git LFS pointer"),
-        (b"", "it is none of BMP, JPEG"),
+        (b"", "it is not one of BMP, JPEG"),
     ],
 )
 def test_what_is_refused_takes_no_memory(data: bytes, problem: str) -> None:

@@ -134,7 +134,7 @@ def test_an_answer_that_drips_is_late(first: bytes) -> None:
     "address", ["", "localhost", "localhost:0", "localhost:70000", "http://a:1", "a b:1", "a:1/x"]
 )
 def test_an_address_is_a_host_and_a_port(address: str) -> None:
-    with pytest.raises(InputError, match="is no address; give HOST:PORT"):
+    with pytest.raises(InputError, match="is not an address; give HOST:PORT"):
         JsonService.at(address, "planner x")
 
 

@@ -241,11 +241,11 @@ def test_a_reward_of_one_s_own() -> None:
     [
         ("waypoints", np.zeros((8, 3)), r"has the shape \(8, 3\); give waypoints \(40, 3\)"),
         ("waypoints", np.full((40, 3), np.nan), r"is NaN or infinite at \[0, 0\]"),
-        ("waypoints", "no", "is no array of numbers"),
+        ("waypoints", "no", "is not an array of numbers"),
         ("waypoints", None, "has the shape|is NaN|no array"),
         ("controls", np.zeros(3), r"has the shape \(3,\); give controls \(2,\)"),
         ("controls", np.array([0.0, np.inf]), r"is NaN or infinite at \[1\]"),
-        ("controls", [[1.0], [1.0, 2.0]], "is no array of numbers"),
+        ("controls", [[1.0], [1.0, 2.0]], "is not an array of numbers"),
     ],
 )
 def test_a_bad_action_is_one_line_and_moves_nothing(

@@ -157,5 +157,5 @@ def test_inception_weights_that_are_refused(tmp_path: Path) -> None:
         torch.save(state, path)
         with pytest.raises(InputError, match=message):
             load_inception(path)
-    with pytest.raises(InputError, match="Inception weights: is no file"):
+    with pytest.raises(InputError, match="Inception weights: is not a file"):
         load_inception(tmp_path / "nowhere.pth")

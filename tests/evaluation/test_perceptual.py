@@ -173,7 +173,9 @@ def test_lpips_weights_that_are_refused(tmp_path: Path, capsys: pytest.CaptureFi
     refused(good | {"features.6.bias": torch.full((384,), torch.nan)}, "not finite")
     refused({"a": torch.zeros(2)}, "of no known network")
     refused(good | {"epoch": 3}, "no table of tensors")
-    refused({"features.0.weight": Malicious()}, "print, which is no tensor and is never unpickled")
+    refused(
+        {"features.0.weight": Malicious()}, "print, which is not a tensor and is never unpickled"
+    )
     assert "unpickled" not in capsys.readouterr().out
     for data in (b"", b"PK\x03\x04cut short"):
         path.write_bytes(data)
@@ -182,7 +184,7 @@ def test_lpips_weights_that_are_refused(tmp_path: Path, capsys: pytest.CaptureFi
     (tmp_path / "cut.safetensors").write_bytes(b"\x10\x00")
     with pytest.raises(InputError, match="cannot be read"):
         load_lpips(tmp_path / "cut.safetensors")
-    with pytest.raises(InputError, match="is no file"):
+    with pytest.raises(InputError, match="is not a file"):
         load_lpips(tmp_path / "nowhere.pth")
 
 

@@ -106,7 +106,7 @@ def _cut(path: Path) -> None:
         (lambda f: _cut(f / POSES), f"{POSES}: feather table: cannot be read"),
         (_without(POSES, "qz"), f"{POSES}: column qz: is missing"),
         (_column(POSES, "tx_m", 7, np.nan), f"{POSES}: column tx_m, row 7: is nan"),
-        (_column(POSES, "qw", 3, 5.0), f"{POSES}: qw, qx, qy, qz in row 3: are no rotation"),
+        (_column(POSES, "qw", 3, 5.0), f"{POSES}: qw, qx, qy, qz in row 3: is not a rotation"),
         (_column(POSES, "timestamp_ns", 9, tiny.START_NS), f"{POSES}: timestamp_ns in row 9"),
         (_without("annotations.feather", "category"), "column category: is missing"),
         (
@@ -145,11 +145,14 @@ def _cut(path: Path) -> None:
         (_named(IMAGE, f"{'9' * 19}.jpg"), "99.jpg: file name: is not a time in nanoseconds"),
         (_terabyte, f"{SWEEP}: feather table: claims 240 rows and 1099"),
         (_column(POSES, "tx_m", 7, 1e300), f"{POSES}: tx_m, ty_m, tz_m in row 7: [1e+300, "),
-        (_column(POSES, "qw", 7, 1e300), f"{POSES}: qw, qx, qy, qz in row 7: are no rotation"),
-        (_column(POSES, "timestamp_ns", 0, -5), f"{POSES}: timestamp_ns in row 0: -5 is no time"),
+        (_column(POSES, "qw", 7, 1e300), f"{POSES}: qw, qx, qy, qz in row 7: is not a rotation"),
+        (
+            _column(POSES, "timestamp_ns", 0, -5),
+            f"{POSES}: timestamp_ns in row 0: -5 is not a time",
+        ),
         (
             _column(POSES, "timestamp_ns", -1, 2**63 - 1),
-            f"{POSES}: timestamp_ns in row 201: 9223372036854775807 is no time",
+            f"{POSES}: timestamp_ns in row 201: 9223372036854775807 is not a time",
         ),
         (_column("annotations.feather", "width_m", 2, 1e9), "width_m in row 2: is 1e+09 m"),
         (lambda f: _cut(f / IMAGE), f"{IMAGE}: image: cannot be decoded"),

@@ -90,7 +90,7 @@ def test_a_drive_is_a_name_and_no_path(name: str, drive: str, tmp_path: Path) ->
     root = tmp_path / "root"
     WRITE[name][0](root)
     with pytest.raises(
-        InputError, match=r"drive.*: (does not exist|has no file|is no name)|drive"
+        InputError, match=r"drive.*: (does not exist|has no file|is not a name)|drive"
     ) as raised:
         import_drive(name, root, drive, tmp_path / "log")
     assert "\n" not in str(raised.value)

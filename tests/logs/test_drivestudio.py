@@ -105,7 +105,7 @@ def _lidar_value(column: int, value: float) -> Damage:
     ("damage", "message"),
     [
         (lambda s: (s / INFO).unlink(), f"{INFO}: file: is missing"),
-        (lambda s: (s / INFO).write_text("[]"), f"{INFO}: JSON: is no object"),
+        (lambda s: (s / INFO).write_text("[]"), f"{INFO}: JSON: is not an object"),
         (
             _instance(lambda i: i.update(class_name="Boat")),
             f"{INFO}: 0.class_name: Input should be 'Vehicle'",
@@ -136,7 +136,7 @@ def _lidar_value(column: int, value: float) -> Damage:
         ),
         (
             _boxes(lambda b: b["obj_to_world"].__setitem__(3, np.ones((4, 4)).tolist())),
-            f"{INFO}: 0.frame_annotations.obj_to_world.3: is no rotation and translation",
+            f"{INFO}: 0.frame_annotations.obj_to_world.3: is not a rotation and a translation",
         ),
         (
             lambda s: tiny.write_matrix(s / "ego_pose/005.txt", np.eye(4)),
@@ -155,15 +155,15 @@ def _lidar_value(column: int, value: float) -> Damage:
         ),
         (
             lambda s: (s / "lidar/003.bin").rename(s / "lidar/\u00b2.bin"),
-            "lidar/\u00b2.bin: file name: is no frame",
+            "lidar/\u00b2.bin: file name: is not a frame",
         ),
         (
             lambda s: tiny.write_matrix(s / "ego_pose/005.txt", np.diag([1.0, 1.0, -1.0, 1.0])),
-            "ego_pose/005.txt: matrix: is no rotation and translation",
+            "ego_pose/005.txt: matrix: is not a rotation and a translation",
         ),
         (
             lambda s: tiny.write_matrix(s / "ego_pose/005.txt", np.full((4, 4), 1e300)),
-            "ego_pose/005.txt: matrix: is no rotation and translation",
+            "ego_pose/005.txt: matrix: is not a rotation and a translation",
         ),
         (
             lambda s: (s / "ego_pose/005.txt").write_bytes(b"\xff" * 9),
@@ -182,7 +182,7 @@ def _lidar_value(column: int, value: float) -> Damage:
         (_lidar_value(13, 5.0), "lidar/003.bin: point 4: laser: is 5, not 0 to 4"),
         (
             lambda s: (s / "lidar/003.bin").rename(s / "lidar/099.bin"),
-            "lidar/099.bin: file name: is no frame",
+            "lidar/099.bin: file name: is not a frame",
         ),
     ],
 )

@@ -185,7 +185,7 @@ CASES: dict[str, tuple[Damage, str]] = {
         lambda d: (d.folder / "oxts/data/0000000003.txt").write_text("49.0 8.4 112.0\n"),
         "0000000003.txt: fields: 3 of 30 numbers",
     ),
-    "oxts that are no numbers": (
+    "oxts that are not numbers": (
         lambda d: (d.folder / "oxts/data/0000000003.txt").write_text("<html>"),
         "0000000003.txt: numbers: cannot be read",
     ),
@@ -195,8 +195,8 @@ CASES: dict[str, tuple[Damage, str]] = {
     ),
     "oxts that are not finite": (_oxts(8, float("nan")), "fields: hold NaN"),
     "oxts beyond the poles": (_oxts(0, 91.0), "91.0 8.43"),
-    "oxts beyond the date line": (_oxts(1, 200.0), "is no place on a road"),
-    "oxts below the sea": (_oxts(2, -1e6), "is no place on a road"),
+    "oxts beyond the date line": (_oxts(1, 200.0), "is not a place on a road"),
+    "oxts below the sea": (_oxts(2, -1e6), "is not a place on a road"),
     "oxts that jump": (_oxts(0, 49.1), "0000000003.txt: position: is 100"),
     "calibration that is not text": (
         lambda d: _latin(_calibration(d, "calib_cam_to_cam.txt")),
@@ -220,7 +220,7 @@ CASES: dict[str, tuple[Damage, str]] = {
     "projection far away": (_camera("P_rect_02", 11, "1e9"), "is not within 100000 m"),
     "projection not finite": (_camera("P_rect_02", 3, "nan"), "P_rect_02: holds NaN"),
     "no width": (_camera("S_rect_02", 0, "0"), "PinholeCamera.width, height: 0 x 48"),
-    "width of half a pixel": (_camera("S_rect_02", 0, "160.5"), "160.5 x 48.0 are no pixels"),
+    "width of half a pixel": (_camera("S_rect_02", 0, "160.5"), "160.5 x 48.0 are not pixels"),
     "huge width": (_camera("S_rect_02", 0, "1e300"), "PinholeCamera.width, height"),
     "infinite width": (_camera("S_rect_02", 0, "inf"), "S_rect_02: holds NaN or infinity"),
     "no rectification": (_camera("R_rect_00", 0, "-0.9999"), "R_rect_00: is not a rotation"),

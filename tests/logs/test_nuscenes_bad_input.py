@@ -70,7 +70,7 @@ def _copied_row(table: str, source: str, **changes: Any) -> Damage:
         ),
         (
             lambda r: (r / "v1.0-mini/sample.json").write_text('["a"]'),
-            "sample.json: row 0: is no object",
+            "sample.json: row 0: is not an object",
         ),
         (
             _row("sample_data", "CAM_FRONT-0", timestamp=...),
@@ -110,11 +110,11 @@ def _copied_row(table: str, source: str, **changes: Any) -> Damage:
         ),
         (
             _row("calibrated_sensor", "c-cam", camera_intrinsic=[[1.0, 2.0], [3.0]]),
-            "token c-cam: camera_intrinsic: is no 3x3 matrix",
+            "token c-cam: camera_intrinsic: is not a 3x3 matrix",
         ),
         (
             _row("calibrated_sensor", "c-lidar", rotation=[0.0, 0.0, 0.0, 2.0]),
-            "token c-lidar: rotation: is no rotation: the quaternion's length is 2",
+            "token c-lidar: rotation: is not a rotation: the quaternion's length is 2",
         ),
         (
             _row("ego_pose", "CAM_FRONT-83334", translation=[0.0, 0.0, 0.0]),
@@ -146,7 +146,7 @@ def _copied_row(table: str, source: str, **changes: Any) -> Damage:
         ),
         (
             _row("sample_data", "CAM_FRONT-0", filename="../../etc/passwd"),
-            "token CAM_FRONT-0: filename: names '../../etc/passwd', which is no file inside of",
+            "token CAM_FRONT-0: filename: names '../../etc/passwd', which is not a file inside of",
         ),
         (
             _row("sample_data", "CAM_FRONT-0", timestamp=10**30),

@@ -189,7 +189,7 @@ def test_names_that_lead_out_of_the_folder_are_refused(
 
     found = MemoryFileSystem.find
     monkeypatch.setattr(MemoryFileSystem, "find", leading_out)
-    with pytest.raises(InputError, match="is no file inside of"):
+    with pytest.raises(InputError, match="is not a file inside of"):
         load_log(ADDRESS)
     assert not list(cache.parent.rglob("evil"))
 

@@ -142,8 +142,8 @@ DIM = np.zeros(2, np.float32)
         (LidarSweep(0, NEAR, DIM[:1]), "intensity: 2 values"),
         (LidarSweep(0, NEAR, DIM + np.float32(np.nan)), "intensity: 2 values"),
         (LidarSweep(0, NEAR, DIM, np.zeros(3, np.int64)), "point_timestamps_us: not 2 times"),
-        (LidarSweep(-1, NEAR, DIM), "timestamp_us: -1 is no time"),
-        (LidarSweep(0, NEAR, DIM, np.array([0, 2**60])), "is no time"),
+        (LidarSweep(-1, NEAR, DIM), "timestamp_us: -1 is not a time"),
+        (LidarSweep(0, NEAR, DIM, np.array([0, 2**60])), "is not a time"),
     ],
 )
 def test_impossible_sweeps_are_refused(sweep: LidarSweep, message: str) -> None:

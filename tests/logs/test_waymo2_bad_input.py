@@ -67,7 +67,7 @@ SHEARED = np.arange(16.0)
         (
             "vehicle_pose",
             _cell({FRAME: SECOND}, "world_from_vehicle.transform", SHEARED),
-            "[VehiclePoseComponent].world_from_vehicle.transform: is no rotation and translation",
+            "[VehiclePoseComponent].world_from_vehicle.transform: is not a rotation",
         ),
         (
             "vehicle_pose",
@@ -156,7 +156,7 @@ SHEARED = np.arange(16.0)
         (
             "lidar_calibration",
             _cell({LASER: 1}, "beam_inclination.values", [0.1, None]),
-            "[LiDARCalibrationComponent].beam_inclination.values: is no list of numbers",
+            "[LiDARCalibrationComponent].beam_inclination.values: is not a list of numbers",
         ),
         (
             "lidar_calibration",
@@ -166,7 +166,7 @@ SHEARED = np.arange(16.0)
         (
             "lidar",
             _cell(TOP, "range_image_return1.shape", [6, None, 4]),
-            f"{LIDAR}.range_image_return1.shape: is no list of numbers",
+            f"{LIDAR}.range_image_return1.shape: is not a list of numbers",
         ),
         (
             "lidar",
@@ -181,7 +181,7 @@ SHEARED = np.arange(16.0)
         (
             "camera_image",
             _cell(FRONT, "pose.transform", np.diag([1.0, 1.0, -1.0, 1.0]).ravel()),
-            f"{IMAGE}.pose.transform: is no rotation and translation",
+            f"{IMAGE}.pose.transform: is not a rotation and a translation",
         ),
         (
             "camera_image",
@@ -191,7 +191,7 @@ SHEARED = np.arange(16.0)
         (
             "vehicle_pose",
             _cell({FRAME: SECOND}, "frame_timestamp_micros", -1),
-            "key.frame_timestamp_micros: -1 is no time",
+            "key.frame_timestamp_micros: -1 is not a time",
         ),
         ("lidar_box", _cell(CAR, "box.size.x", 1e9), "[LiDARBoxComponent].box.size.x: is 1e+09"),
         ("lidar_box", _cell(CAR, "box.center.x", 1e9), "LiDARBoxComponent].box.center.x: is 1e+09"),

@@ -74,11 +74,11 @@ def _lanes(*features: bytes) -> Parts:
 @pytest.mark.parametrize(
     ("parts", "message"),
     [
-        (_frame(1, lambda d: d[:-3]), "record 1, Frame: is no protocol buffer, or cut off"),
+        (_frame(1, lambda d: d[:-3]), "record 1, Frame: is not a protocol buffer, or cut off"),
         (_frame(1, lambda d: integer(2, 5) + blob(3, b"")), "record 1, context: is missing"),
         (
             _frame(2, lambda d: d + integer(2, 1 << 62)),
-            "record 2, timestamp_micros: 4611686018427387904 is no time in microseconds",
+            "record 2, timestamp_micros: 4611686018427387904 is not a time in microseconds",
         ),
         (
             _camera(lambda d: d + blob(3, tiny.transform(np.diag([1.0, 1.0, -1.0, 1.0])))),
@@ -92,7 +92,7 @@ def _lanes(*features: bytes) -> Parts:
         (_frame(1, lambda d: d + blob(1, blob(1, "other"))), "record 1, context.name: is 'other'"),
         (
             _pose(range(16)),
-            "record 1, pose.transform: is no rotation and translation",
+            "record 1, pose.transform: is not a rotation and a translation",
         ),
         (
             _pose([1.0, 2.0]),
@@ -142,7 +142,7 @@ def _lanes(*features: bytes) -> Parts:
             _top(1, lambda d: d[: len(d) // 2]),
             "record 1, lasers[0].return1.range_image_compressed: is cut off",
         ),
-        (_top(1, lambda d: b"raw"), "range_image_compressed: is no zlib stream"),
+        (_top(1, lambda d: b"raw"), "range_image_compressed: is not a zlib stream"),
         (
             _top(1, lambda d: zlib.compress(b"")),
             "range_image_compressed: holds no matrix: shape: is missing",
@@ -221,7 +221,9 @@ def test_a_damaged_file_names_its_record(tmp_path: Path) -> None:
     path.write_bytes(whole[:-20])
     _refused(tmp_path, tiny.NAME, f"{path}: record 2, data: are cut off, 20 bytes are missing")
     path.write_bytes(b"\x1f\x8b" + whole)
-    _refused(tmp_path, tiny.NAME, f"{path}: record 0, length: this is no (uncompressed) TFRecord")
+    _refused(
+        tmp_path, tiny.NAME, f"{path}: record 0, length: this is not an (uncompressed) TFRecord"
+    )
 
 
 def test_a_gap_in_the_drive_is_refused(tmp_path: Path) -> None:

@@ -61,7 +61,7 @@ def _flip(data: bytes, at: int) -> bytes:
 @pytest.mark.parametrize(
     ("damage", "message"),
     [
-        (lambda d: _flip(d, 0), "record 0, length: this is no (uncompressed) TFRecord"),
+        (lambda d: _flip(d, 0), "record 0, length: this is not an (uncompressed) TFRecord"),
         (lambda d: b"\x89PNG and other things that are longer", "record 0, length: this is no"),
         (lambda d: _flip(d, 14), "record 0, data: do not fit their checksum"),
         (lambda d: _flip(d, 12 + 100), "record 0, data: do not fit their checksum"),
@@ -121,11 +121,11 @@ def test_parts_of_a_message() -> None:
         (write.integer(1, 7), "name", r"^name: is 7, no LaserName \(1 TOP, 2 FRONT, "),
         (write.integer(1, -1), "name", "^name: is -1, no LaserName"),
         (write.blob(1, "TOP"), "name", "^name: is missing"),  # of another wire type: unknown
-        (write.blob(2, "image")[:-1], "return1", "^Laser: is no protocol buffer, or cut off"),
-        (write.blob(2, write.blob(2, "image")[:-1]), "return1", "^Laser: is no protocol buffer"),
-        (b"\x0c", "name", "^Laser: is no protocol buffer"),
-        (b"\x08" + b"\xff" * 11, "name", "^Laser: is no protocol buffer"),
-        (b"\x08", "name", "^Laser: is no protocol buffer"),
+        (write.blob(2, "image")[:-1], "return1", "^Laser: is not a protocol buffer, or cut off"),
+        (write.blob(2, write.blob(2, "image")[:-1]), "return1", "^Laser: is not a protocol buffer"),
+        (b"\x0c", "name", "^Laser: is not a protocol buffer"),
+        (b"\x08" + b"\xff" * 11, "name", "^Laser: is not a protocol buffer"),
+        (b"\x08", "name", "^Laser: is not a protocol buffer"),
     ],
 )
 def test_bytes_that_are_no_such_message_are_told(data: bytes, field: str, message: str) -> None:
@@ -134,9 +134,9 @@ def test_bytes_that_are_no_such_message_are_told(data: bytes, field: str, messag
 
 
 def test_bytes_that_are_no_text_are_told() -> None:
-    with pytest.raises(FieldError, match=r"^id: is no text"):
+    with pytest.raises(FieldError, match=r"^id: is not text"):
         decode("Label", write.blob(4, b"\xff\xfe"))["id"]
-    with pytest.raises(FieldError, match=r"^Transform: is no protocol buffer"):
+    with pytest.raises(FieldError, match=r"^Transform: is not a protocol buffer"):
         decode("Transform", write.blob(1, b"1234567"))
 
 

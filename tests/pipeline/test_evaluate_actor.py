@@ -148,7 +148,7 @@ def test_bad_input_is_one_line(
         return line
 
     out = tmp_path / "out"
-    assert "is no folder" in refused(ply, tmp_path / "nowhere", "--out", out)
+    assert "is not a folder" in refused(ply, tmp_path / "nowhere", "--out", out)
     assert "no set.json, no index.json" in refused(ply, tmp_path, "--out", out)
     assert "generator: diorama: is not known" in refused("diorama", crops, "--out", out)
     assert "pth: does not exist" in refused(

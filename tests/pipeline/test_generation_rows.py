@@ -155,7 +155,7 @@ def test_results_on_perturbed_inputs(vehicles: Path, tmp_path: Path) -> None:
     files = write_files(tmp_path / "files")
     models = {"files": StudyModel(f"files:{files}", axes="x,z")}
     wanted = settings(vehicles, models, perturbed=PerturbationConfig())
-    with pytest.raises(InputError, match="perturbed: results: are no folder"):
+    with pytest.raises(InputError, match="perturbed: results: is not a folder"):
         run_study(wanted, tmp_path / "out")
     assert not (tmp_path / "out").exists()
     (files / "perturbed").mkdir()
@@ -236,7 +236,7 @@ def test_study_files_at_fault(vehicles: Path, tmp_path: Path) -> None:
     assert "rows: have no source" in refused(source=None)
     assert "real3d: is there twice" in refused(twice=True)
     assert "rows.0.name" in refused(name="../up")
-    assert "is none of Real3D" in refused(published="Real4D")
+    assert "is not one of Real3D" in refused(published="Real4D")
     assert "rows.0.colour" in refused(colour="red")
     with pytest.raises(InputError, match="output folder: exists already"):
         write_inputs(settings(vehicles, {}), tmp_path / "kit")
@@ -267,7 +267,7 @@ def test_sources_are_found_from_the_study_file(vehicles: Path, tmp_path: Path) -
 def test_folders_without_results_are_refused(vehicles: Path, tmp_path: Path) -> None:
     (tmp_path / "empty").mkdir()
     for source, problem in (
-        (f"files:{tmp_path / 'none'}", "none: results: are no folder"),
+        (f"files:{tmp_path / 'none'}", "none: results: is not a folder"),
         (
             f"files:{tmp_path / 'empty'}",
             r"hold no ID\.ply, \.glb, \.gltf, \.obj, \.spz or \.usda of any vehicle, such as car",

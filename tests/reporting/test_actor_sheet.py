@@ -119,7 +119,7 @@ def test_the_command(actor: Actor, tmp_path: Path, capsys: pytest.CaptureFixture
     before = (tmp_path / "actor.png").read_bytes()
     for words, said in (
         ([str(tmp_path / "actor")], "actor.png: --out: exists already"),
-        ([str(tmp_path / "actor"), "--out", str(tmp_path / "a.jpg")], "a.jpg: --out: is no PNG"),
+        ([str(tmp_path / "actor"), "--out", str(tmp_path / "a.jpg")], "a.jpg: --out: is not a PNG"),
         ([str(tmp_path / "gone")], "actor.json"),
     ):
         capsys.readouterr()

@@ -197,7 +197,7 @@ def test_missing_parts_say_so_with_the_reason(tmp_path: Path) -> None:
         "broken.mp4 cannot be decoded",
         "only 12 LiDAR points",
         "killed at step 7",
-        "broken.png is no PNG or JPEG",
+        "broken.png is not a PNG or JPEG",
         "an older run",
         "no rollout to plot",
         "no rollout was scored",

@@ -230,7 +230,7 @@ def _set(name: str, value: object) -> Callable[[Members], None]:
         ("poses", _set("7/transl", np.full((5, 3), np.inf)), "not finite"),
         ("poses", _set("7/timestamps_us", np.arange(5.0)), "whole numbers"),
         ("poses", _set("7/timestamps_us", np.array([5, 4, 3, 2, 1])), "timestamps_us"),
-        ("poses", _set("8/betas", np.zeros(2)), "track '8': is no actor"),
+        ("poses", _set("8/betas", np.zeros(2)), "track '8': is not an actor"),
     ],
 )
 def test_a_wrong_file_is_refused_in_one_line(

@@ -78,7 +78,10 @@ def test_bad_files_are_named(tiny_log: DrivingLog, tmp_path: Path) -> None:
     cv2.imwrite(str(tmp_path / "sky" / "005_image_02.png"), np.zeros((5, 7), np.uint8))
     with pytest.raises(InputError, match="is 7x5, the image"):
         sky_masks(tiny_log, views, no_depths(views), asked)
-    for kind, path, problem in (("files", "", "is not given"), ("files", "none", "is no folder")):
+    for kind, path, problem in (
+        ("files", "", "is not given"),
+        ("files", "none", "is not a folder"),
+    ):
         with pytest.raises(InputError, match=problem):
             sky_masks(tiny_log, views, no_depths(views), config(path, kind))
 

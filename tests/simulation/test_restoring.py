@@ -112,7 +112,7 @@ def test_restorers_by_name(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> N
     assert make_restorer(given := Brighter()) is given
     del sys.modules["my_restorer"]
     for word, problem in (
-        ("harmonizer:localhost", "is no address; give HOST:PORT"),
+        ("harmonizer:localhost", "is not an address; give HOST:PORT"),
         ("nothing", "restorer: nothing: is not known"),
         ("recast.arrays:Image", "restorer: recast.arrays:Image: "),
     ):

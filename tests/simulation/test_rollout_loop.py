@@ -336,7 +336,7 @@ def test_a_wrong_plan_names_the_planner() -> None:
         (None, "returned NoneType, not a Plan"),
         (np.zeros((40, 3)), "returned ndarray, not a Plan"),
         (Plan(np.full((40, 3), np.nan)), "NaN or infinity at waypoint 0"),
-        (Plan([[0.0], [1.0, 2.0]]), "is no array of numbers"),  # type: ignore[arg-type]
+        (Plan([[0.0], [1.0, 2.0]]), "is not an array of numbers"),  # type: ignore[arg-type]
         (Plan(None), r"expected \(40, 3\), got \(\)"),  # type: ignore[arg-type]
     ],
 )

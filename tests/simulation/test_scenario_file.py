@@ -88,7 +88,7 @@ def test_a_good_file_is_read(tmp_path: Path) -> None:
         ("description: >", "other: >", "my.yaml:5: other: is not known; the keys are version,"),
         ("motion: cut-in", "motion: cut-in: x", "my.yaml:4: YAML: cannot be read"),
         ("    delay", "\tdelay", "my.yaml:13: YAML: cannot be read"),
-        ("  near:", "  ? [a]\n  : 1\n  near:", "my.yaml:9: YAML: has a key that is no word"),
+        ("  near:", "  ? [a]\n  : 1\n  near:", "my.yaml:9: YAML: has a key that is not a word"),
         (
             "delay: 0.0",
             "delay: !!python/object/apply:os.system [ls]",
@@ -111,7 +111,7 @@ def test_errors_name_file_line_and_key(tmp_path: Path, old: str, new: str, messa
     [
         ("", "my.yaml: YAML: is empty"),
         ("# nothing\n", "my.yaml: YAML: is empty"),
-        ("- a\n", "my.yaml:1: scenario: is no list of keys"),
+        ("- a\n", "my.yaml:1: scenario: is not a list of keys"),
         ("a: 1\n---\nb: 2\n", "my.yaml:2: YAML: cannot be read (but found another document)"),
         ("version: 1\nsettings: &a\n  x: *a\n", "my.yaml:3: YAML: holds an alias of itself"),
         (b"version: 1\nname: \xff\n", "my.yaml:2: file: is not UTF-8 text"),

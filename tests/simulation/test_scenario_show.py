@@ -71,7 +71,7 @@ def test_show_writes_what_can_run_and_names_what_cannot(tmp_path: Path) -> None:
     assert "oncoming-b: refused: synthetic: rollout oncoming-b-scene: the actor would leave" in text
     with pytest.raises(InputError, match="the actor would leave"):
         show_scenarios(place_scenarios(tmp_path / "log", ["oncoming-b"], "7", 50), out, console)
-    with pytest.raises(InputError, match=r"is no PNG"):
+    with pytest.raises(InputError, match=r"is not a PNG"):
         show_scenarios([], tmp_path / "s.jpg", console)
 
 

@@ -224,7 +224,7 @@ def test_endings_say_who_came_to_the_end_of_what() -> None:
         (np.zeros((40, 3)), "got ndarray, not a Plan"),
         (Plan(np.zeros((8, 3))), r"expected \(40, 3\), got \(8, 3\)"),
         (Plan(np.full((40, 3), np.nan)), "NaN or infinity at waypoint 0"),
-        (Plan("no"), "is no array of numbers"),  # type: ignore[arg-type]
+        (Plan("no"), "is not an array of numbers"),  # type: ignore[arg-type]
     ],
 )
 def test_what_is_no_plan_moves_nothing(plan: object, message: str) -> None:
@@ -247,14 +247,14 @@ def test_a_plan_that_no_vehicle_can_drive_is_one_line() -> None:
     [
         ({"actors": {}}, "Simulator: actors: is empty; name the target"),
         ({"actors": {"7": "cutin"}}, "motion: cutin: is not known; choose one of"),
-        ({"actors": {"7": 3}}, "motion: int: is no motion: it needs name, setting"),
+        ({"actors": {"7": 3}}, "motion: int: is not a motion: it needs name, setting"),
         ({"actors": {"77": "cut-in"}}, "track 77: is not in the log; choose one of 7, 9"),
         ({"actors": {"7": "cut-in", "8": "idm"}}, "track 8: is not in the log"),
         ({"scene": 3}, "Simulator: scene: is a int; give a StreetScene"),
         ({"cameras": ["front"]}, "Simulator: cameras: are given without a scene"),
         ({"steps": 0}, "RolloutSetup: steps: is 0; give 1 to"),
         ({"dt": 3.0}, "RolloutSetup: dt: is 3.0 s"),
-        ({"plan_limit_s": 3.0}, "Simulator: plan_limit_s: is no setting; the settings are"),
+        ({"plan_limit_s": 3.0}, "Simulator: plan_limit_s: is not a setting; the settings are"),
         ({"scene": NullRenderer(MOUNTS), "cameras": ["rear"]}, "camera rear: is needed and not"),
     ],
 )

@@ -206,7 +206,7 @@ def test_the_command_line(
     (weights_folder("toy") / "config.json").write_bytes(b'{"model": "tou"}')
     code, text = told(capsys, "verify", "toy")
     assert code == 2 and "changed after toy was fetched" in text
-    assert "is no name of published weights" in told(capsys, "get", "tyo")[1]
+    assert "is not a name of published weights" in told(capsys, "get", "tyo")[1]
 
 
 @pytest.mark.parametrize(("answer", "code"), [("y", 0), ("n", 2), (None, 2), ("--accept", 0)])

@@ -32,7 +32,7 @@ JSON_LIMIT = 1 << 28
 _DISK_FULL = ("disk", "no space left while writing", "free some space and run again")
 _READ_ONLY = ("disk", "cannot be written to, it is read-only", "name a folder that can be written")
 _FORBIDDEN = ("file", "permission denied", "check who owns it and its permissions")
-_NO_FOLDER = ("file", "lies below something that is no folder", "check the path")
+_NO_FOLDER = ("file", "lies below something that is not a folder", "check the path")
 _FAULTS = {
     errno.ENOSPC: _DISK_FULL,
     errno.EDQUOT: _DISK_FULL,
@@ -322,4 +322,4 @@ def _finite(text: str) -> float:
 
 
 def _refused(text: str) -> NoReturn:
-    raise ValueError(f"{text} is no number of JSON")
+    raise ValueError(f"{text} is not a number of JSON")

@@ -227,7 +227,7 @@ def opened(
             kind = _format_of(head, formats)
             if kind is None or kind not in formats:
                 begins = f"; it begins like {kind}" if kind else ""
-                raise ValueError(f"it is none of {', '.join(formats)}{begins}")
+                raise ValueError(f"it is not one of {', '.join(formats)}{begins}")
             size = stream.seek(0, io.SEEK_END)
             if size > MOST_BYTES:
                 raise InputError(where, "size", f"has {size} bytes, {MOST_BYTES} are read", mend)

@@ -48,7 +48,7 @@ class JsonService:
         found = _ADDRESS.fullmatch(address)
         if found is None or not 1 <= int(found[2]) <= 65535:
             mend = "give HOST:PORT, such as 127.0.0.1:9000"
-            raise InputError(name, address, "is no address", mend)
+            raise InputError(name, address, "is not an address", mend)
         return cls(name, found[1].strip("[]"), int(found[2]))
 
     def ask(

@@ -49,7 +49,7 @@ def member(folder: str | Path, name: str, where: str | Path, field: str) -> Path
         raise InputError(
             where,
             field,
-            f"names {name!r}, which is no file inside of {Path(folder).name}/",
+            f"names {name!r}, which is not a file inside of {Path(folder).name}/",
             "give a relative path below that folder",
         )
     return Path(folder) / path

@@ -50,7 +50,7 @@ def parse_record(
         InputError: no object, another format or version, or the first member that is wrong.
     """
     if not isinstance(value, dict):
-        raise InputError(where, "JSON", "is no object", mend)
+        raise InputError(where, "JSON", "is not an object", mend)
     if kind is not None and value.get("format") != kind:
         raise InputError(where, "format", f"is {value.get('format')!r}, not {kind!r}", mend)
     if value.get("version") != version:

@@ -66,7 +66,7 @@ def read_torch_file(path: Path, mend: str, field: str = "file", arrays: bool = F
             raise InputError(
                 path,
                 field,
-                f"holds {refused[1]}, which is no tensor and is never unpickled",
+                f"holds {refused[1]}, which is not a tensor and is never unpickled",
                 "where it was made, save its state dict alone",
             ) from None
         reason = "" if isinstance(error, UnpicklingError) else _reason(error)
@@ -87,12 +87,12 @@ def read_tensors(path: Path, field: str, mend: str) -> dict[str, Tensor]:
             tensors.
     """
     if not path.is_file():
-        raise InputError(path, field, "is no file", mend)
+        raise InputError(path, field, "is not a file", mend)
     if path.suffix == ".safetensors":
         return read_safetensors(path, field, mend)[0]
     state = read_torch_file(path, mend, field)
     if not isinstance(state, dict) or not all(isinstance(v, Tensor) for v in state.values()):
-        raise InputError(path, field, "is no table of tensors", mend)
+        raise InputError(path, field, "is not a table of tensors", mend)
     return dict(state)
 
 

@@ -187,7 +187,7 @@ class _Tree:
             line = key_node.start_mark.line + 1
             where = f"{self._where}:{line}"
             if not isinstance(key_node, yaml.ScalarNode):
-                raise InputError(where, "YAML", "has a key that is no word", _MEND)
+                raise InputError(where, "YAML", "has a key that is not a word", _MEND)
             key = key_node.value
             if key in members:
                 first = members[key].place.rpartition(":")[2]

@@ -52,7 +52,7 @@ def checked_action(action: object, kind: ActionKind) -> Array:
     try:
         values = np.asarray(action, np.float64)
     except (TypeError, ValueError):
-        raise InputError("DrivingEnv", "action", "is no array of numbers", mend) from None
+        raise InputError("DrivingEnv", "action", "is not an array of numbers", mend) from None
     if values.shape != shape:
         raise InputError("DrivingEnv", "action", f"has the shape {values.shape}", mend)
     if not np.isfinite(values).all():

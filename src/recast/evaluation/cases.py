@@ -104,7 +104,7 @@ def read_cases(
         if value is not None and value < 1:
             raise InputError(option, "value", f"is {value}", "give 1 or more")
     if not folder.is_dir():
-        raise InputError(folder, "set", "is no folder", "check the path")
+        raise InputError(folder, "set", "is not a folder", "check the path")
     if any((folder / name).exists() for name in (SET_FILE, INDEX_FILE)):
         vehicles: VehicleSource = open_set(folder)
         held_out = list(vehicles.of_split("held-out"))[:limit]

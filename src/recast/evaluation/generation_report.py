@@ -224,7 +224,7 @@ def _notes(facts: StudyFacts, blocks: Sequence[StudyBlock]) -> list[str]:
     keys = set(blocks[0].rows[0].scores)
     pictures = ", ".join(f"{block.views} {block.condition}" for block in blocks)
     notes = [
-        "All models get the same picture of a vehicle, one view by seed that is no target; views "
+        "All models get the same image of a vehicle, one view by seed that is not a target; views "
         f"are compared before black {_SEEN[facts.targets]}. Scores are means over the vehicles "
         "that every model made, each vehicle counting the same.",
         f"Vehicles are placed {_PLACED[facts.placement]}; pictures that were drawn elsewhere are "

@@ -74,7 +74,7 @@ def check_time_range(where: str, timestamps_us: NDArray[np.int64]) -> None:
     """Check that times (T,) in any order lie within [0, `LATEST_US`)."""
     odd = timestamps_us[(timestamps_us < 0) | (timestamps_us >= LATEST_US)]
     if len(odd):
-        raise ValueError(f"{where}: {odd[0]} is no time in microseconds since 1970")
+        raise ValueError(f"{where}: {odd[0]} is not a time in microseconds since 1970")
 
 
 def check_reach(where: str, values: NDArray[np.floating], reach: float) -> None:

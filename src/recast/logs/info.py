@@ -175,7 +175,7 @@ def ranked(tracks: Sequence[TrackInfo]) -> tuple[TrackInfo, ...]:
 def _rated(track: TrackInfo) -> TrackInfo:
     seen, points = track.visibility, track.lidar_points
     if track.category not in VEHICLES:
-        return replace(track, why="is no car, van, truck or bus")
+        return replace(track, why="is not a car, van, truck or bus")
     if seen.frames == 0:
         return replace(track, why="is in no image")
     if not seen.whole:

@@ -147,7 +147,7 @@ def check_store(path: Path) -> None:
         if not isinstance(metadata, dict) or not all(
             isinstance(v, dict) for v in metadata.values()
         ):
-            raise ValueError("its metadata are no object of objects")
+            raise ValueError("its metadata is not an object of objects")
         for key, array in metadata.items():
             if key.endswith(".zarray"):
                 _check_array(file, key.removesuffix(".zarray"), array, records)

@@ -213,7 +213,7 @@ def show_actor(folder: Path, out: Path | None = None) -> Path:
         place = Path(folder).resolve()
         out = place.with_name(f"{place.name}.png")
     if out.suffix.lower() != ".png":
-        raise InputError(out, "`out`", "is no PNG", "end its name in .png")
+        raise InputError(out, "`out`", "is not a PNG", "end its name in .png")
     if out.exists():
         raise InputError(out, "`out`", "exists already", "name another one or remove it")
     sheet = Image.fromarray(draw_actor_sheet(load_actor(folder)))

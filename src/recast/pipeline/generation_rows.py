@@ -151,7 +151,7 @@ def _check_name(name: str) -> str:
 
 def _check_published(row: str | None) -> str | None:
     if row is not None and row not in PAPER_ROWS:
-        raise ValueError(f"is none of {', '.join(PAPER_ROWS)}")
+        raise ValueError(f"is not one of {', '.join(PAPER_ROWS)}")
     return row
 
 
@@ -277,7 +277,7 @@ def _results_hash(model: StudyModel, cases: Sequence[ActorCase]) -> dict[str, st
         raise InputError(
             model.folder,
             "results",
-            "are no folder",
+            "is not a folder",
             "put the results there, or write null for the source of their row",
         )
     found = {case.id: vehicle_hash(model, case) for case in cases}

@@ -164,7 +164,7 @@ def _scenes_of(
         return
     if not (path / RUN_FILE).is_file():
         mend = "name folders of recast scene train, recast scene import or recast run"
-        raise InputError(path, "SCENE", "is no folder of a scene or of a run", mend)
+        raise InputError(path, "SCENE", "is not a folder of a scene or of a run", mend)
     inputs = run_inputs(path)
     assert inputs.log is not None  # every run has one
     arms = {key: scene for key, scene in inputs.scenes.items() if scene is not None}

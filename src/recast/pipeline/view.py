@@ -74,7 +74,7 @@ def kind_of_folder(path: Path) -> str:
         InputError: the folder is none of these.
     """
     if not path.is_dir():
-        raise InputError(path, "WHAT", "is no folder", _MEND)
+        raise InputError(path, "WHAT", "is not a folder", _MEND)
     for kind, name in _KINDS.items():
         if (path / name).is_file():
             return kind
@@ -206,7 +206,7 @@ def require_limits(
     if not 0 < most_mb < float("inf"):
         raise InputError("`replay_mb`", "value", f"is {most_mb}", "give more than 0")
     if replay is not None and replay.suffix.lower() != ".html":
-        raise InputError(replay, "`replay`", "is no HTML file", "end its name in .html")
+        raise InputError(replay, "`replay`", "is not an HTML file", "end its name in .html")
 
 
 def serve_what(

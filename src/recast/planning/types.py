@@ -178,7 +178,7 @@ class Plan:
         try:
             waypoints = np.asarray(self.waypoints, np.float64)
         except (TypeError, ValueError):
-            raise ValueError("Plan.waypoints: is no array of numbers") from None
+            raise ValueError("Plan.waypoints: is not an array of numbers") from None
         if waypoints.shape != (WAYPOINTS, 3):
             raise ValueError(f"Plan.waypoints: expected ({WAYPOINTS}, 3), got {waypoints.shape}")
         bad = ~np.isfinite(waypoints).all(axis=1)

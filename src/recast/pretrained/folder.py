@@ -188,7 +188,7 @@ def weight_files(folder: Path, mend: str) -> tuple[Path, ...]:
             found = read_json(index)
             table = found.get("weight_map") if isinstance(found, dict) else None
             if not isinstance(table, dict) or not all(isinstance(v, str) for v in table.values()):
-                raise InputError(index, "weight_map", "is no table of file names", mend)
+                raise InputError(index, "weight_map", "is not a table of file names", mend)
             names = sorted({*table.values()})
             return tuple(member(folder, one, index, "weight_map") for one in names)
     raise InputError(folder, f"{WEIGHTS_FILE} or {_PYTORCH_FILE}", "is missing", mend)

@@ -74,7 +74,7 @@ class ScenePainter:
         """
         if scene_id not in self.scenes:
             known = ", ".join(self.scenes)
-            raise RefusedError("NOT_FOUND", f"scene_id: {scene_id[:100]!r} is none of {known}")
+            raise RefusedError("NOT_FOUND", f"scene_id: {scene_id[:100]!r} is not one of {known}")
         return self.scenes[scene_id]
 
     def draw(self, request: RenderRequest, wanted: Callable[[], bool] = lambda: True) -> Image:

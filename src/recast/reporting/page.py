@@ -70,7 +70,7 @@ class Assets:
                 width, height = image.size
                 suffix = _FORMATS[image.format]
         except InputError:
-            return NotMade(f"{picture.name} is no PNG or JPEG")
+            return NotMade(f"{picture.name} is not a PNG or JPEG")
         target = self._target("images", name, suffix)
         shutil.copyfile(picture, target)
         return Media(self._url(target), width, height)
@@ -205,7 +205,7 @@ def check_out(out: Path) -> None:
     """Refuse (InputError) a folder that is neither empty nor a report."""
     if out.exists() and not _is_report(out):
         raise InputError(
-            out, "report folder", "holds something that is no report", "name another folder"
+            out, "report folder", "holds something that is not a report", "name another folder"
         )
 
 

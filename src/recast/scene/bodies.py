@@ -222,7 +222,9 @@ def read_bodies(config: SceneConfig, tracks: Mapping[str, Track]) -> dict[str, B
     for track_id in sorted({name.rpartition("/")[0] for name in poses}):
         if track_id not in tracks:
             mend = "take it out, or name it in force_dynamic"
-            raise InputError(poses_path, f"track {track_id!r}", "is no actor of the scene", mend)
+            raise InputError(
+                poses_path, f"track {track_id!r}", "is not an actor of the scene", mend
+            )
         try:
             found[track_id] = _body(model, poses, tracks[track_id])
         except ValueError as error:

@@ -75,7 +75,7 @@ class DeformationNetwork:
         if not (0 <= self.bands <= MOST_BANDS and 0 <= self.time_bands <= MOST_BANDS):
             return f"{self.bands} and {self.time_bands} bands, at most {MOST_BANDS} are possible"
         if any(layer.ndim != 2 or layer.dtype != torch.float32 for layer in self.layers):
-            return "a layer is no float32 matrix"
+            return "a layer is not a float32 matrix"
         width, code = int(self.layers[0].shape[0]), self.code_size
         if not (1 <= width <= MOST_WIDTH and 1 <= code <= MOST_CODE):
             return f"a width of {width} and a code of {code}"

@@ -79,7 +79,7 @@ def claim_folder(folder: Path, log: DrivingLog, config: SceneConfig) -> None:
         raise InputError(
             folder,
             "output folder",
-            f"holds something that is no scene ({strangers[0].name})",
+            f"holds something that is not a scene ({strangers[0].name})",
             "name another one or remove it",
         )
     write_json(folder / SOURCE_FILE, source.model_dump())

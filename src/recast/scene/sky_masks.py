@@ -63,7 +63,7 @@ def _from_files(
     The files of a camera, in order of their frame numbers, belong to its images in order.
     """
     if not folder.is_dir():
-        raise InputError(folder, "sky masks", "is no folder", "check sky_mask_path")
+        raise InputError(folder, "sky masks", "is not a folder", "check sky_mask_path")
     by_camera: dict[str, dict[int, Path]] = {}
     for path in sorted(folder.iterdir()):
         found = _FILE.fullmatch(path.name)

@@ -55,7 +55,7 @@ def read_tensors(path: Path) -> tuple[dict[str, Tensor], dict[str, Any]]:
     tensors, texts = read_safetensors(path, "tensors", "write it anew")
     header = parse_json(path, texts.get(HEADER, ""))
     if not isinstance(header, dict):
-        raise InputError(path, "header", "is no object", "write it anew")
+        raise InputError(path, "header", "is not an object", "write it anew")
     return tensors, header
 
 

@@ -95,7 +95,7 @@ def _kind(motion: AnyMotion) -> str:
 def _motions(root: Node) -> tuple[ScriptedMotion, ...]:
     if not isinstance(root.value, dict):
         mend = f"begin with version: {VERSION}, see docs/scenarios.md"
-        raise root.error("scenario", "is no list of keys", mend)
+        raise root.error("scenario", "is not a list of keys", mend)
     version = _required(root, "version", f"write version: {VERSION}")
     if isinstance(version.value, bool) or version.value != VERSION:
         problem = f"is {version.shown}, this recast reads {VERSION}"

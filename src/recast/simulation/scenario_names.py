@@ -92,6 +92,6 @@ def motion(name: str | Path | AnyMotion | Scenario) -> AnyMotion | Scenario:
     raise InputError(
         "motion",
         type(name).__name__,
-        "is no motion: it needs name, setting, and start and step, or script",
+        "is not a motion: it needs name, setting, and start and step, or script",
         "see docs/scenarios.md",
     )

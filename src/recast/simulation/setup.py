@@ -196,7 +196,7 @@ def as_setup(
     unknown = set(settings) - set(RolloutSettings.__annotations__)
     if unknown:
         mend = f"the settings are {', '.join(RolloutSettings.__annotations__)}"
-        raise InputError("Simulator", sorted(unknown)[0], "is no setting", mend)
+        raise InputError("Simulator", sorted(unknown)[0], "is not a setting", mend)
     (target, scripted), *others = ((key, motion(value)) for key, value in actors.items())
     further: dict[str, AnyMotion] = {}
     for key, value in others:

@@ -221,7 +221,7 @@ def read_footer(stream: IO[bytes], size: int) -> tuple[list[Leaf], list[Group]]:
     stream.seek(size - 8)
     length = int.from_bytes(stream.read(4), "little")
     if stream.read(4) != _MAGIC:
-        raise ValueError("it is no parquet file, or cut short")
+        raise ValueError("it is not a parquet file, or cut short")
     if length > min(size - 12, FOOTER_LIMIT):
         raise ValueError(f"its footer has {length} bytes, {FOOTER_LIMIT} are read at most")
     stream.seek(size - 8 - length)
@@ -282,7 +282,7 @@ def _leaves(elements: Sequence[dict[int, Any]]) -> list[Leaf]:
         while open_groups and open_groups[-1][0] == 0:
             open_groups.pop()
         if (number > 0) != bool(open_groups):
-            raise ValueError("its schema is no tree")
+            raise ValueError("its schema is not a tree")
         prefix, nested = "", False
         if open_groups:
             left, prefix, nested = open_groups.pop()

@@ -124,7 +124,9 @@ def published(name: str) -> Weights:
     """
     if name not in PUBLISHED:
         known = ", ".join(PUBLISHED)
-        raise InputError("weights", name, "is no name of published weights", f"give one of {known}")
+        raise InputError(
+            "weights", name, "is not a name of published weights", f"give one of {known}"
+        )
     return PUBLISHED[name]
 
 

@@ -80,15 +80,15 @@ NAN = float("nan")
 POSES, TIMES = "T_rig_worlds", "T_rig_world_timestamps_us"
 FRAMES = "cameras_frame_timestamps_us"
 CASES: dict[str, tuple[str, Change, str]] = {
-    "nan in a pose": (RIG, rig(put(POSES, 1, 0, 3, NAN)), "NaN is no number of JSON"),
+    "nan in a pose": (RIG, rig(put(POSES, 1, 0, 3, NAN)), "NaN is not a number of JSON"),
     "infinite pose": (RIG, rig(put(POSES, 1, 0, 3, 1e300)), f"{POSES}.1: 1e+300 is not within"),
-    "bent pose": (RIG, rig(put(POSES, 2, 0, 0, 1.9)), f"{POSES}.2: is no rotation"),
-    "mirrored": (RIG, rig(put(POSES, 2, np.diag([1.0, 1, -1, 1]).tolist())), "is no rotation"),
-    "last row": (RIG, rig(put(POSES, 2, 3, 3, 2.0)), f"{POSES}.2: is no rotation"),
+    "bent pose": (RIG, rig(put(POSES, 2, 0, 0, 1.9)), f"{POSES}.2: is not a rotation"),
+    "mirrored": (RIG, rig(put(POSES, 2, np.diag([1.0, 1, -1, 1]).tolist())), "is not a rotation"),
+    "last row": (RIG, rig(put(POSES, 2, 3, 3, 2.0)), f"{POSES}.2: is not a rotation"),
     "ego jumps": (RIG, rig(put(POSES, 3, 0, 3, 900.0)), f"{POSES}.3: is 90"),
     "time falls": (RIG, rig(put(TIMES, 2, 5)), f"{TIMES}: must increase strictly"),
     "time of no year": (RIG, rig(put(TIMES, 2, 1 << 60)), f"{TIMES}.2: "),
-    "negative time": (RIG, rig(put(TIMES, 0, -5)), f"{TIMES}: -5 is no time"),
+    "negative time": (RIG, rig(put(TIMES, 0, -5)), f"{TIMES}: -5 is not a time"),
     "pose is missing": (RIG, rig(lambda one: one[POSES].pop()), "5 poses for 6 times"),
     "one pose": (
         RIG,
@@ -128,7 +128,7 @@ CASES: dict[str, tuple[str, Change, str]] = {
         data(put("tracks_timestamps_us", 0, 1, 3)),
         "tracks.0.timestamps_us: must increase strictly",
     ),
-    "nan in a track": (TRACKS, data(put("tracks_poses", 0, 0, 0, NAN)), "NaN is no number"),
+    "nan in a track": (TRACKS, data(put("tracks_poses", 0, 0, 0, NAN)), "NaN is not a number"),
     "quaternion": (TRACKS, data(put("tracks_poses", 0, 2, 3, 7.0)), "tracks_poses.0.2: its quat"),
     "zero quaternion": (
         TRACKS,

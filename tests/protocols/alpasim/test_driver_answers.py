@@ -80,7 +80,7 @@ def ended(reply: Any) -> Any:
         (lambda reply: shifted(reply, 1 << 62), r"poses\[0\].timestamp_us: is \d+; times must"),
         (in_rig_frame, r"the trajectory begins 1\d.\d m from the ego; answer with poses in the lo"),
         (ended, r"ended the session \(terminate_session\)"),
-        (lambda reply: b"\xff\xff", "answered with what is no DriveResponse"),
+        (lambda reply: b"\xff\xff", "answered with what is not a DriveResponse"),
     ],
 )
 def test_faulty_plans_are_one_line_and_a_failed_row(

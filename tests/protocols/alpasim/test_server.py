@@ -157,7 +157,7 @@ def alive(port: int) -> bool:
 def test_garbage_and_what_is_not_there_have_a_status_each() -> None:
     with serving() as server:
         code, details = status(server.port, "render_rgb", b"\xff" * 50)
-        assert code is grpc.StatusCode.INVALID_ARGUMENT and "is no RGBRenderRequest" in details
+        assert code is grpc.StatusCode.INVALID_ARGUMENT and "is not an RGBRenderRequest" in details
         assert status(server.port, "shut_down", b"")[0] is grpc.StatusCode.UNIMPLEMENTED
         for method, words in (
             ("render_lidar", "recast renders no LiDAR"),
@@ -427,7 +427,7 @@ def result(name: str, data: bytes = b"", **fields: Any) -> Any:
 @pytest.mark.parametrize(
     ("reply", "problem"),
     [
-        (b"\xff\xff\xff", "is no BatchRGBRenderReturn"),
+        (b"\xff\xff\xff", "is not a BatchRGBRenderReturn"),
         ([], "the reply has nothing"),
         ([result("front"), result("front")], "the reply has front, front"),
         ([result("front"), result("bent", success=False, error_message="no")], "bent: failed: no"),

@@ -302,7 +302,7 @@ BAD = {
     "far pose": ({"sensor_pose": far()}, "INVALID_ARGUMENT", "end_pose.vec: not finite"),
     "quaternion": ({"sensor_pose": unturned()}, "INVALID_ARGUMENT", "quat: is not of length 1"),
     "times": ({"frame_end_us": TIME - 1}, "INVALID_ARGUMENT", "is before frame_start_us"),
-    "late": ({"frame_end_us": 1 << 63}, "INVALID_ARGUMENT", "is no time"),
+    "late": ({"frame_end_us": 1 << 63}, "INVALID_ARGUMENT", "is not a time"),
     "mask": ({"insert_ego_mask": True}, "INVALID_ARGUMENT", "there are no ego masks"),
     "format": ({"image_format": 6}, "INVALID_ARGUMENT", "image_format: is 6"),
     "quality": ({"image_quality": 101.0}, "INVALID_ARGUMENT", "image_quality"),
@@ -331,7 +331,7 @@ def test_bad_calls_have_a_clear_status(service: SensorsimService) -> None:
         "AggregatedRenderRequest", rgb_requests=[request(resolution_h=3840, resolution_w=2160)] * 5
     )
     for method, data, code, details in (
-        ("render_rgb", b"\xff\xff\xff", "INVALID_ARGUMENT", "is no RGBRenderRequest"),
+        ("render_rgb", b"\xff\xff\xff", "INVALID_ARGUMENT", "is not an RGBRenderRequest"),
         ("get_available_cameras", b"", "NOT_FOUND", "scene_id: ''"),
         ("batch_render_rgb", twice.SerializeToString(), "INVALID_ARGUMENT", "twice"),
         ("render_aggregated", lidar.SerializeToString(), "UNIMPLEMENTED", "no LiDAR"),

@@ -205,7 +205,7 @@ TOO_SHORT = "trajectory has 5 points, not 6 to 100 points"
     [
         ({"trajectory": [[1.0, 0.0]] * 5}, TOO_SHORT),
         ({"trajectory": []}, "trajectory has 0 points"),
-        ({"trajectory": None}, "trajectory is no list"),
+        ({"trajectory": None}, "trajectory is not a list"),
         ({"aux_outputs": {}}, "trajectory is missing"),
         ([[1.0, 0.0]] * 6, "trajectory is missing"),
         ({"trajectory": [[1.0, 0.0]] * 5 + [[1.0, 0.0, 0.0]]}, r"trajectory\[5\] is \[1.0, 0.0, 0"),
@@ -249,7 +249,9 @@ def test_faults_of_the_program_are_one_line(
     fake.answer = broken
     assert "answered 500 Internal Server Error: CUDA out of memory" in failing(fake, address)
     fake.answer = lambda body: Response("NaN")
-    assert "/infer: its answer cannot be read (NaN is no number of JSON)" in failing(fake, address)
+    assert "/infer: its answer cannot be read (NaN is not a number of JSON)" in failing(
+        fake, address
+    )
     monkeypatch.setattr(module, "INFER_S", 0.2)
     fake.answer = slow
     assert "/infer: has not answered within 0.2 s" in failing(fake, address)
@@ -305,8 +307,8 @@ def test_it_plans_in_a_process_that_was_forked_off(served: tuple[FakePlanner, st
 @pytest.mark.parametrize(
     ("word", "problem"),
     [
-        ("neuroncap:", "is no address; give HOST:PORT"),
-        ("neuroncap:localhost", "is no address; give HOST:PORT"),
+        ("neuroncap:", "is not an address; give HOST:PORT"),
+        ("neuroncap:localhost", "is not an address; give HOST:PORT"),
         ("neuroncap:a b@localhost:1", "label: is 'a b'; use letters"),
         ("neuroncap:@localhost:1", "label: is ''; use letters"),
     ],

@@ -247,7 +247,7 @@ def test_a_wrong_member_is_one_line(tmp_path: Path, old: str, new: str, message:
 @pytest.mark.parametrize(
     ("old", "new", "message"),
     [
-        ("uuid: car-b", "uuid: car-z", "uuid car-z: is no track of drive"),
+        ("uuid: car-b", "uuid: car-z", "uuid car-z: is not a track of drive"),
         ("uuid: car-b", "uuid: car-b\n    is_target_actor: true", "run 0: has 2 targets"),
         ("uuid: car-b", f"uuids: [car-a, {BLACK}]", "the track .* twice"),
         ("start-frame: 3", "start-frame: 200", r"run 0: begins at key frame \d+, drive has 38"),

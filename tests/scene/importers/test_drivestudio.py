@@ -155,7 +155,7 @@ def test_actors_can_be_named_or_left_out(log: DrivingLog, tmp_path: Path) -> Non
 def test_an_actor_that_is_no_track_is_refused(log: DrivingLog, tmp_path: Path) -> None:
     path, place = save(tmp_path / "a.pth", checkpoint()), tmp_path / "place.txt"
     place.write_text("5 0 0")
-    with pytest.raises(InputError, match=r"actor 0 is no track of log drive: car-. is nearest"):
+    with pytest.raises(InputError, match=r"actor 0 is not a track of log drive: car-. is nearest"):
         import_drivestudio(path, log, tmp_path / "scene", first_frame=FIRST, world_from_scene=place)
     assert not (tmp_path / "scene").exists()
 
@@ -218,5 +218,5 @@ def test_frames_that_the_log_does_not_have(log: DrivingLog, tmp_path: Path) -> N
         import_drivestudio(path, log, tmp_path / "scene", first_frame=4)
     with pytest.raises(InputError, match="frame 11: lidar has frames 0 to 10"):
         import_drivestudio(path, log, tmp_path / "scene", first_frame=11)
-    with pytest.raises(InputError, match="clock 'radar': is no sensor"):
+    with pytest.raises(InputError, match="clock 'radar': is not a sensor"):
         import_drivestudio(path, log, tmp_path / "scene", clock="radar")

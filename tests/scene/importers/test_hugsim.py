@@ -199,7 +199,7 @@ def test_the_camera_and_the_place_can_be_named(tmp_path: Path) -> None:
     np.savetxt(place, se3.inverse(SCENE_FROM_WORLD))
     record = import_hugsim(folder, log, tmp_path / "b", world_from_scene=place, first_frame=FIRST)
     assert record.placed_by.startswith("as given in place.txt; its camera is 0.00 m")
-    with pytest.raises(InputError, match="camera 'left': is no camera of the log"):
+    with pytest.raises(InputError, match="camera 'left': is not a camera of the log"):
         import_hugsim(folder, log, tmp_path / "c", camera="left")
     with pytest.raises(InputError, match="front has frames 0 to 10"):
         import_hugsim(folder, log, tmp_path / "c", first_frame=11)
@@ -265,8 +265,8 @@ IMAGE = {
 @pytest.mark.parametrize(
     ("meta", "line"),
     [
-        ({"frames": []}, "frames: is no list, or empty"),
-        ({"frames": [3]}, r"frames\[0\]: is no table"),
+        ({"frames": []}, "frames: is not a list, or empty"),
+        ({"frames": [3]}, r"frames\[0\]: is not a table"),
         ({"frames": [IMAGE | {"timestamp": "x"}]}, r"frames\[0\]\.timestamp: is str"),
         ({"frames": [IMAGE | {"camtoworld": [[1, 2]]}]}, r"camtoworld: has shape \[1, 1, 2\]"),
         ({"frames": [IMAGE | {"intrinsics": [1, 2]}]}, "intrinsics: or width or height"),
@@ -335,21 +335,21 @@ MOTION = unicycle(np.stack([np.eye(4)] * 3), np.arange(3.0))
 @pytest.mark.parametrize(
     ("changes", "line"),
     [
-        ({"scene": 3}, "Gaussians: is no tuple of 8 members"),
+        ({"scene": 3}, "Gaussians: is not a tuple of 8 members"),
         ({"scene": changed(0, 4)}, "active_sh_degree: is 4, expected 0 to 3"),
         ({"scene": changed(0, True)}, "active_sh_degree: is bool, not a number"),
         ({"scene": changed(3, torch.zeros(300, 8, 3))}, "features_rest: has 8 harmonics"),
         ({"scene": changed(5, torch.zeros(300, 2))}, r"scaling: has shape \[300, 2\]"),
         ({"scene": changed(1, torch.full((300, 3), torch.nan))}, "xyz: is not finite"),
-        ({"ground": (1, 2)}, "ground: is no tuple"),
+        ({"ground": (1, 2)}, "ground: is not a tuple"),
         ({"ground": members(make_ground())}, r"ground\.scaling: has shape \[90, 3\]"),
-        ({"car": (1, 2)}, "Gaussians: is no tuple"),
-        ({"motion": MOTION[:5]}, "is no tuple of 8 members"),
+        ({"car": (1, 2)}, "Gaussians: is not a tuple"),
+        ({"motion": MOTION[:5]}, "is not a tuple of 8 members"),
         ({"motion": (*MOTION[:4], MOTION[4] * torch.nan, *MOTION[5:])}, "yaw: has no 3 values"),
-        ({"motion": (*MOTION[:6], torch.zeros(3), MOTION[7])}, "train_timestamp: are no times"),
+        ({"motion": (*MOTION[:6], torch.zeros(3), MOTION[7])}, "train_timestamp: are not times"),
         ({"motion": (MOTION[0][:2], *MOTION[1:])}, "a: has no 3 values"),
         ({"poses": np.zeros((2, 3, 4))}, r"cam_poses: has shape \[2, 3, 4\]"),
-        ({"poses": 2 * np.eye(4)[None]}, "cam_poses: holds a matrix that is no pose"),
+        ({"poses": 2 * np.eye(4)[None]}, "cam_poses: holds a matrix that is not a pose"),
         ({"poses": np.diag([1.0, -1, 1, 1])[None]}, "cam_poses: holds a mirrored pose"),
     ],
 )

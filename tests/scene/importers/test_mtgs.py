@@ -203,7 +203,7 @@ def _ego_places() -> np.ndarray:
 @pytest.mark.parametrize(
     ("camera", "line"),
     [
-        ({"sensor2ego_rotation": np.zeros(4)}, "sensor2ego_rotation: is no quaternion"),
+        ({"sensor2ego_rotation": np.zeros(4)}, "sensor2ego_rotation: is neither a quaternion"),
         ({"sensor2ego_translation": np.zeros(2)}, "sensor2ego_translation: is not three metres"),
         ({"colmap_param": {}}, r"cams\.CAM_F0\.colmap_param\.cam_intrinsic: is missing"),
         ({"width": 0}, "width: or height: 0 x 40 pixels"),
@@ -236,7 +236,7 @@ def test_code_in_the_checkpoint_or_beside_it_is_not_run(log: DrivingLog, tmp_pat
     content = checkpoint()
     content["background"]["config"]["extra"] = Hostile(ran)
     path = save(tmp_path / "a", content)
-    with pytest.raises(InputError, match=r"mkdir, which is no tensor and is never unpickled"):
+    with pytest.raises(InputError, match=r"mkdir, which is not a tensor and is never unpickled"):
         import_mtgs(path, log, tmp_path / "scene")
     pickled = frames()
     pickled["2021-0"]["frame_infos"][3]["extra"] = Hostile(ran)
@@ -321,7 +321,7 @@ CAR_NODE = f"na_rigid_{made.CAR}"
                 "log_timestamps",
                 torch.from_numpy(made.TIMES + 1_600 * 10**12).float(),
             ),
-            "log_timestamps: are no microseconds that increase",
+            "log_timestamps: are not microseconds that increase",
         ),
         (
             broken(CAR_NODE, "config", "log_timestamps", torch.from_numpy(made.TIMES + 10**9)),
@@ -364,7 +364,7 @@ def test_a_folder_without_one_checkpoint_is_refused(log: DrivingLog, tmp_path: P
         ({"a": {"frame_infos": [{"timestamp": -1}]}}, "timestamp: is -1, not microseconds"),
         (
             {"a": {"frame_infos": [{"timestamp": 1, "ego2global": np.full((4, 4), np.nan)}]}},
-            "ego2global: is no pose in metres",
+            "ego2global: is not a pose in metres",
         ),
     ],
 )

@@ -230,7 +230,7 @@ def changed_background(key: str, value: Any) -> dict[str, Any]:
         ),
         (
             changed_background("omnire_calibration", calibration(later_us=-(10**10))),
-            "training_timestamps_us: are no microseconds",
+            "training_timestamps_us: are not microseconds",
         ),
     ],
 )

@@ -251,7 +251,7 @@ NAN[7, 1] = math.nan
         (broken("background", "scaling", torch.full((300, 3), 20.0)), r"scaling: row 0 is out of"),
         (broken("background", "opacity", torch.full((300, 1), 1e30)), r"opacity: row 0 is out of"),
         (broken("background", "feature_dc", torch.full((300, 1, 3), 1e37)), "feature_rest: row 0"),
-        (checkpoint(iter=10**400), "iter: is no number of steps"),
+        (checkpoint(iter=10**400), "iter: is not a number of steps"),
         (broken("background", "feature_rest", torch.zeros(300, 5, 3)), r"feature_rest: has 5"),
         (broken("background", "xyz", "text"), r"background\.xyz: is str"),
         (broken("background", "xyz", torch.zeros(300, 3).to_sparse()), "sparse_coo tensor"),
@@ -259,7 +259,7 @@ NAN[7, 1] = math.nan
         (checkpoint(sky_cubemap={"params": {"sky_cube_map": torch.zeros(6, 4, 5, 3)}}), "squares"),
         (
             checkpoint(obj_004=made.street_gaussians_part(made.make_car(1))),
-            "actor obj_004: is no track of log drive",
+            "actor obj_004: is not a track of log drive",
         ),
         (
             checkpoint(actor_pose={"params": {"opt_trans": torch.zeros(4, 2, 3)}}),
@@ -293,7 +293,7 @@ def test_a_cut_file_and_a_missing_one(log: DrivingLog, tmp_path: Path) -> None:
         (
             "track/track_info.txt",
             "header\n0 b vehicle 0 1 1 1 5 0 0 0\n",
-            "track: 'b' is no number",
+            "track: 'b' is not a number",
         ),
         ("track/track_camera_vis.json", "[1]", "no table of cameras"),
         ("track/track_ids.json", "[1]", "no object of track numbers"),

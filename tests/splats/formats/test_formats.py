@@ -224,7 +224,7 @@ def test_usd_stages_say_their_axes_and_unit(tmp_path: Path) -> None:
         ("ParticleField3DGaussianSplat", "Xform", "draws no Gaussians"),
         ("float[] opacities", "float[] opacity", "opacities: is missing"),
         ("float[] opacities = [", "float[] opacities = [0.5, ", "has 6 rows, not 5"),
-        ("float[] opacities = [", "float[] opacities = [x, ", "holds what is no number"),
+        ("float[] opacities = [", "float[] opacities = [x, ", "holds what is not a number"),
         ("float[] opacities = [", "float[] opacities = [nan, ", "rows"),
         ("float3[] scales = [(", "float3[] scales = [(1, ", "numbers in 5 tuples"),
         ("Degree = 1", "Degree = 2", "has 20 rows, not 45"),

@@ -109,7 +109,7 @@ def show_scenarios(placed: Sequence[Placed], out: Path, console: Console) -> Non
         InputError: `out` is no PNG, every scenario is refused on this log, or the disk refuses.
     """
     if out.suffix.lower() != ".png":
-        raise InputError(out, "--out", "is no PNG", "end its name in .png")
+        raise InputError(out, "--out", "is not a PNG", "end its name in .png")
     for one in placed:
         if one.refused is not None:
             console.print(f"{one.name}: refused: {one.refused}", markup=False, style="yellow")

@@ -117,7 +117,7 @@ def opened_store(place: str) -> Store:
         InputError: it is elsewhere, or is none.
     """
     if "://" in place or not (Path(place) / "store.json").is_file():
-        raise InputError(place, "store", "is no local store", "name the folder of one")
+        raise InputError(place, "store", "is not a local store", "name the folder of one")
     return Store(place)
 
 

@@ -237,7 +237,7 @@ def data_of(path: Path, uri: str, what: str) -> bytes:
             return base64.b64decode(text, validate=True)
     except ValueError:
         pass
-    raise InputError(path, what, "is no base64", "export it again")
+    raise InputError(path, what, "is not base64", "export it again")
 
 
 def write_glb(path: str | Path, tree: Mapping[str, Any], binary: bytes) -> None:

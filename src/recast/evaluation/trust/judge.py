@@ -124,6 +124,6 @@ def _steps(features: TrustFeatures) -> dict[int, str]:
 def _told(name: str, value: float) -> str:
     """A feature with its value."""
     if name == "collision":
-        return "it is a collision" if value else "it is no collision"
+        return "it is a collision" if value else "it is not a collision"
     digits = 2 if name in ("held_out_ssim", "noise_flips") else 1
     return f"{FEATURES[name].what}, {value:.{digits}f}"

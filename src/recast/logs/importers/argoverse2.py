@@ -164,7 +164,7 @@ def _check(
         raise InputError(
             path,
             f"category in row {row}",
-            f"{str(rows['category'][row])!r} is none of Argoverse 2",
+            f"{str(rows['category'][row])!r} is not a category of Argoverse 2",
             f"use one of {', '.join(CATEGORIES)}",
         )
     wrong = ~checks.are_box_sides(size)

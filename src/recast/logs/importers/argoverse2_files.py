@@ -140,7 +140,7 @@ def times_of(path: Path, columns: Columns) -> Int64Array:
     latest = 1000 * checks.LATEST_US
     wrong = np.flatnonzero((values < 0) | (values >= latest) | (values != np.trunc(values)))
     if len(wrong):
-        problem = f"{values[wrong[0]]} is no time in nanoseconds"
+        problem = f"{values[wrong[0]]} is not a time in nanoseconds"
         raise InputError(path, f"{TIME} in row {wrong[0]}", problem, _MEND)
     return values.astype(np.int64)
 
@@ -159,7 +159,7 @@ def poses(path: Path, columns: Columns) -> Array:
         raise InputError(
             path,
             f"qw, qx, qy, qz in row {wrong[0]}",
-            f"are no rotation: the quaternion's length is {norm[wrong[0]]:.4g}, not 1",
+            f"is not a rotation: the quaternion's length is {norm[wrong[0]]:.4g}, not 1",
             _MEND,
         )
     translation = np.stack([columns[name].astype(np.float64) for name in TRANSLATION], axis=-1)

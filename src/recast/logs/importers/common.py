@@ -62,7 +62,9 @@ def check_drive(root: Path, drive: str) -> None:
     """
     wrong = not drive or drive in (".", "..") or len(os.fsencode(drive)) > _NAME_BYTES
     if wrong or "/" in drive or "\\" in drive or "\0" in drive:
-        raise InputError(root, "drive", f"{drive!r} is no name of a drive", "give its name alone")
+        raise InputError(
+            root, "drive", f"{drive!r} is not a name of a drive", "give its name alone"
+        )
 
 
 def files_of(folder: Path, suffixes: Sequence[str]) -> list[Path]:

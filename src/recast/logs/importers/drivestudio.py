@@ -155,7 +155,7 @@ def read_tracks(
     """
     value = files.read_json(path)
     if not isinstance(value, dict):
-        raise InputError(path, "JSON", "is no object", _MEND)
+        raise InputError(path, "JSON", "is not an object", _MEND)
     tracks = {}
     for name, record in value.items():
         try:
@@ -225,7 +225,7 @@ def read_lidars(folder: Path, frame_times: dict[int, int]) -> dict[str, LidarStr
     listed = {}
     for path in sorted(folder.glob("*.bin")):
         if not NUMBER.fullmatch(path.stem) or int(path.stem) not in frame_times:
-            raise InputError(path, "file name", "is no frame that has an ego pose", _MEND)
+            raise InputError(path, "file name", "is not a frame that has an ego pose", _MEND)
         listed[int(path.stem)] = path
     if not listed:
         return {}

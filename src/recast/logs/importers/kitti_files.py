@@ -239,7 +239,7 @@ def _camera(values: dict[str, str], path: Path, number: str) -> tuple[PinholeCam
     width, height = _field(values, path, size, 2).tolist()
     K = projection[:, :3]
     if not (width.is_integer() and height.is_integer()):
-        raise InputError(path, size, f"{width} x {height} are no pixels", MEND)
+        raise InputError(path, size, f"{width} x {height} are not pixels", MEND)
     # KITTI counts pixel centres from 0, we from 0.5.
     camera = PinholeCamera(int(width), int(height), K[0, 0], K[1, 1], K[0, 2] + 0.5, K[1, 2] + 0.5)
     with refused(path, MEND):

@@ -236,7 +236,7 @@ def read_oxts(files: SensorFiles) -> Array:
             raise InputError(path, "fields", "hold NaN or infinity", "download it again")
         latitude, longitude, altitude = values[:3]
         if abs(latitude) > 89 or abs(longitude) > 180 or abs(altitude) > HIGHEST:
-            problem = f"{latitude} {longitude} {altitude} is no place on a road"
+            problem = f"{latitude} {longitude} {altitude} is not a place on a road"
             raise InputError(path, "latitude, longitude, altitude", problem, "download it again")
         packets.append(values[:FIELDS])
     gaps = np.diff(files.timestamps_us)

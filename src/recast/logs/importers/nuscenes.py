@@ -195,7 +195,7 @@ def read_key_tracks(
             raise InputError(
                 tables / "category.json",
                 f"token {kind.token}: name",
-                f"{kind.name!r} is none of nuScenes",
+                f"{kind.name!r} is not a category of nuScenes",
                 f"use one of {', '.join(CATEGORIES)}",
             )
     grouped: dict[str, dict[int, AnnotationRow]] = {}

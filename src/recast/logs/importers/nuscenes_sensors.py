@@ -126,7 +126,7 @@ def pose_of(path: Path, row: EgoPoseRow | CalibratedSensorRow | AnnotationRow) -
     """
     length = float(np.linalg.norm(row.rotation))
     if abs(length - 1.0) > _UNIT:
-        problem = f"is no rotation: the quaternion's length is {length:.4g}, not 1"
+        problem = f"is not a rotation: the quaternion's length is {length:.4g}, not 1"
         raise InputError(path, f"token {row.token}: rotation", problem, _MEND)
     return se3.from_rotation_translation(se3.quat_to_matrix(row.rotation), row.translation)
 
@@ -143,10 +143,10 @@ def camera_of(tables: Path, row: CalibratedSensorRow, frames: list[SampleDataRow
     if not matrix:
         raise InputError(path, field, "is empty: a camera without calibration", _MEND)
     if [len(line) for line in matrix] != [3, 3, 3]:
-        raise InputError(path, field, "is no 3x3 matrix", _MEND)
+        raise InputError(path, field, "is not a 3x3 matrix", _MEND)
     (fx, skew, cx), (lower, fy, cy), last = matrix
     if skew or lower or last != [0.0, 0.0, 1.0]:
-        raise InputError(path, field, f"{matrix} is no pinhole camera without skew", _MEND)
+        raise InputError(path, field, f"{matrix} is not a pinhole camera without skew", _MEND)
     width, height = frames[0].width, frames[0].height
     for frame in frames:
         if (frame.width, frame.height) != (width, height):

@@ -158,7 +158,7 @@ def stream_rows(path: Path) -> Iterator[dict[str, Any]]:
                 problem = f"cannot be read ({reason})"
                 raise InputError(path, f"row {row}", problem, _MEND) from None
             if not isinstance(value, dict):
-                raise InputError(path, f"row {row}", "is no object", _MEND)
+                raise InputError(path, f"row {row}", "is not an object", _MEND)
             yield value
             row += 1
 

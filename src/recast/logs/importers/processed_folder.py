@@ -94,10 +94,10 @@ def rigid(values: Array, path: Path, field: str) -> Array:
     if not np.all(np.abs(matrix[:3, :3]) <= 2.0) or not np.all(
         np.abs(matrix[:3, 3]) <= checks.WORLD_REACH
     ):
-        raise InputError(path, field, "is no rotation and translation", _MEND)
+        raise InputError(path, field, "is not a rotation and a translation", _MEND)
     rotation = nearest_rotation(matrix[:3, :3])
     if rotation is None or matrix[3].tolist() != [0, 0, 0, 1]:
-        raise InputError(path, field, "is no rotation and translation", _MEND)
+        raise InputError(path, field, "is not a rotation and a translation", _MEND)
     return se3.from_rotation_translation(rotation, matrix[:3, 3])
 
 

@@ -124,7 +124,7 @@ def _time(path: Path, times: Any, sensor: str, frame: int) -> int:
     of_sensor = times.get(sensor) if isinstance(times, dict) else None
     seconds = of_sensor.get(f"{frame:06d}") if isinstance(of_sensor, dict) else None
     if not isinstance(seconds, (int, float)) or not 0 <= seconds < 1e10:
-        problem = "is missing" if seconds is None else f"{json.dumps(seconds)} is no time"
+        problem = "is missing" if seconds is None else f"{json.dumps(seconds)} is not a time"
         raise InputError(path, f"{sensor}.{frame:06d}", problem, _MEND)
     return round(seconds * 1e6)
 
@@ -151,14 +151,14 @@ def read_lidar(path: Path, drive: Drive) -> dict[str, LidarStream]:
     if not path.is_file():
         return {}
     if not is_zipfile(path):
-        raise InputError(path, "file", "is no .npz archive; a pickle is never loaded", _CONVERT)
+        raise InputError(path, "file", "is not an .npz archive; a pickle is never loaded", _CONVERT)
     with open_npz(path, _CONVERT) as arrays:
         names = npz_names(arrays)
         if names:
             _array(path, arrays, names[0])
     for name in names:
         if not NUMBER.fullmatch(name) or int(name) not in drive.frame_times:
-            problem = "is no frame that has an ego pose"
+            problem = "is not a frame that has an ego pose"
             raise InputError(path, f"array {name}", problem, "take the points of this scene")
     names.sort(key=int)
     times = np.array([drive.frame_times[int(name)] for name in names], np.int64)

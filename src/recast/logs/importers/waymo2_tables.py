@@ -94,7 +94,7 @@ class Row:
         value = self.values[self.column(field)]
         value = [] if value is None else value
         if not isinstance(value, list) or not all(isinstance(one, (int, float)) for one in value):
-            raise FieldError(self.column(field), "is no list of numbers")
+            raise FieldError(self.column(field), "is not a list of numbers")
         return np.array(value, np.float64)
 
     def pose(self, field: str) -> Array:

@@ -234,7 +234,7 @@ class Message:
         if kind in _CHOICES:
             return _CHOICES[kind].of(value, self.path(name))
         if isinstance(value, bytes) and kind == "string":
-            raise FieldError(self.path(name), "is no text")
+            raise FieldError(self.path(name), "is not text")
         return value
 
     def path(self, name: str) -> str:
@@ -251,4 +251,4 @@ def decode(kind: str, data: bytes, where: str = "") -> Message:
     try:
         return Message(_classes()[f"waymo.{kind}"].FromString(data), kind, where)
     except message.DecodeError:
-        raise FieldError(where or kind, "is no protocol buffer, or cut off") from None
+        raise FieldError(where or kind, "is not a protocol buffer, or cut off") from None

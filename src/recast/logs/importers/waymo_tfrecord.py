@@ -126,7 +126,7 @@ def _read_record(path: Path, file: BinaryIO, size: int, number: int) -> Record:
         if number == 0:
             file.seek(0)
             kind = kind_of_file(file.read(512))
-            problem, mend = "this is no (uncompressed) TFRecord file", "name a .tfrecord file"
+            problem, mend = "this is not an (uncompressed) TFRecord file", "name a .tfrecord file"
             problem += f" but {kind}" if kind else ""
         else:
             problem, mend = "does not fit its checksum", MEND
@@ -335,7 +335,7 @@ class PackedMatrix:
             stream = zlib.decompressobj()
             data = stream.decompress(self.part.read(), _LARGEST)
         except zlib.error as error:
-            raise self.place.error(f"is no zlib stream ({error})") from None
+            raise self.place.error(f"is not a zlib stream ({error})") from None
         if not stream.eof:
             raise self.place.error("is cut off or too large")
         try:

@@ -45,7 +45,7 @@ def rigid(values: Array, where: str) -> Array:
     try:
         checks.check_poses(where, pose, checks.WORLD_REACH)
     except ValueError:
-        raise FieldError(where, "is no rotation and translation") from None
+        raise FieldError(where, "is not a rotation and a translation") from None
     return pose
 
 
@@ -56,7 +56,7 @@ def frame_time(time_us: int, where: str) -> int:
         FieldError: no log can hold it.
     """
     if not 0 <= time_us < checks.LATEST_US:
-        raise FieldError(where, f"{time_us} is no time in microseconds since 1970")
+        raise FieldError(where, f"{time_us} is not a time in microseconds since 1970")
     return time_us
 
 

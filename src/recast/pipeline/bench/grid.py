@@ -80,7 +80,7 @@ def _parse(word: str, seed: int, track: str | None) -> list[BenchScene]:
         name, rest = word, ""
     if name in SCENES:
         if colon and not re.fullmatch(r"[0-9]+", rest):
-            problem = f"{rest!r} is no seed"
+            problem = f"{rest!r} is not a seed"
             raise InputError("`scenes`", word, problem, "give a number, 0 or more")
         return [_synthetic(name, int(rest) if colon else seed)]
     # a whole word that is a folder wins, since paths may hold colons
@@ -181,7 +181,7 @@ def begin(out: Path, record: Mapping[str, Any]) -> None:
     if path.is_file():
         found = files.read_json(path)
         if not isinstance(found, dict) or found.get("format") != record["format"]:
-            raise InputError(path, "format", "is no grid's", "name another `out`")
+            raise InputError(path, "format", "is not a grid's", "name another `out`")
         differing = first_difference({name: found.get(name) for name in record}, dict(record))
         if differing is not None:
             raise InputError(

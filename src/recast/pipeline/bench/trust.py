@@ -181,7 +181,7 @@ def _verdicts(grid: Path) -> dict[Key, bool]:
     """Whether each compared rollout agrees with the truth."""
     record = files.read_json(grid / RECORD_FILE)
     if not isinstance(record, dict) or record.get("format") != BENCH_FORMAT:
-        raise InputError(grid / RECORD_FILE, "format", "is no grid's", _MEND)
+        raise InputError(grid / RECORD_FILE, "format", "is not a grid's", _MEND)
     path = grid / ROLLOUTS_FILE
     if not path.is_file():
         raise InputError(path, "rollouts", "are missing: the grid is not finished", _MEND)

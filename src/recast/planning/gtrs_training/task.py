@@ -339,7 +339,7 @@ def chosen_training(
     if path is not None:
         said = read_json(path)
         if not isinstance(said, dict):
-            raise InputError(path, "JSON", "is no object", "write what differs, by name")
+            raise InputError(path, "JSON", "is not an object", "write what differs, by name")
         chosen = overridden(chosen, said)
     chosen["trainer"]["seed"] = seed
     if steps is not None:

@@ -206,7 +206,7 @@ def resample(poses: ArrayLike, interval: float, times: ArrayLike) -> Array:
     try:
         poses = np.asarray(poses, np.float64)
     except (TypeError, ValueError):
-        raise ValueError("its poses are no array of numbers") from None
+        raise ValueError("its poses are not an array of numbers") from None
     times = np.asarray(times, np.float64)
     if poses.ndim != 2 or poses.shape[1] != 3 or len(poses) == 0:
         raise ValueError(f"its poses have shape {poses.shape}, not (N, 3)")

@@ -140,7 +140,7 @@ def _rigid(field: str, matrices: Sequence[Matrix], reach: float) -> Array:
     turned, off = se3.nearest_rotations(found[:, :3, :3])
     wrong = (off > _UNIT) | np.any(found[:, 3] != [0, 0, 0, 1], axis=1)
     if wrong.any():
-        raise ValueError(f"{field}.{int(np.argmax(wrong))}: is no rotation and translation")
+        raise ValueError(f"{field}.{int(np.argmax(wrong))}: is not a rotation and a translation")
     return se3.from_rotation_translation(turned, found[:, :3, 3])
 
 

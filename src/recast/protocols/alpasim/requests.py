@@ -75,7 +75,7 @@ def _read(request: Any, ftheta_centre: float) -> SensorsimRequest:
     if end < start:
         raise ValueError(f"frame_end_us: {end} is before frame_start_us, {start}")
     if end >= LATEST_US:
-        raise ValueError(f"frame_end_us: {end} is no time in microseconds since 1970")
+        raise ValueError(f"frame_end_us: {end} is not a time in microseconds since 1970")
     if request.insert_ego_mask:
         raise ValueError("insert_ego_mask: there are no ego masks, see get_available_ego_masks")
     if request.image_format not in (PNG, JPEG, PLANAR):

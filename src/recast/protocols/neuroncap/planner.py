@@ -199,7 +199,7 @@ def read_trajectory(answer: object) -> Array:
         raise ValueError("trajectory is missing")
     listed = answer["trajectory"]
     if not isinstance(listed, list) or not LEAST <= len(listed) <= _MOST_POINTS:
-        found = f"has {len(listed)} points" if isinstance(listed, list) else "is no list"
+        found = f"has {len(listed)} points" if isinstance(listed, list) else "is not a list"
         raise ValueError(f"trajectory {found}, not {LEAST} to {_MOST_POINTS} points")
     for number, point in enumerate(listed):
         numbers = isinstance(point, list) and [type(one) in (int, float) for one in point]

@@ -72,7 +72,7 @@ def ncap_runs(
         for uuid in actor.uuids:
             if uuid not in log.tracks:
                 mend = "name the log of the scene that the scenario is for"
-                raise InputError(where, f"uuid {uuid}", f"is no track of {log.name}", mend)
+                raise InputError(where, f"uuid {uuid}", f"is not a track of {log.name}", mend)
     return [_Draw(scenario, log, frames, seed, where).run() for seed in range(runs)]
 
 

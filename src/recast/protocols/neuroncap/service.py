@@ -86,7 +86,7 @@ class NcapService:
             where = f"actors[{number}]"
             uuid = _member(one, "uuid", where)
             if not isinstance(uuid, str) or uuid not in self._own:
-                raise _refused(f"{where}.uuid", f"{str(uuid)[:80]!r} is no actor of the scene")
+                raise _refused(f"{where}.uuid", f"{str(uuid)[:80]!r} is not an actor of the scene")
             if uuid in found:
                 raise _refused(f"{where}.uuid", f"{uuid!r} is given twice")
             found[uuid] = _read_actor(one, where)
@@ -104,7 +104,7 @@ class NcapService:
         wanted = value.get("image_format", "raw") if isinstance(value, dict) else None
         if not isinstance(wanted, str) or wanted not in MEDIA_TYPES:
             known = ", ".join(MEDIA_TYPES)
-            raise _refused("image_format", f"{str(wanted)[:80]!r} is none of {known}")
+            raise _refused("image_format", f"{str(wanted)[:80]!r} is not one of {known}")
         present = {
             uuid: actor.trajectory.at(time)
             for uuid, actor in self._actors.items()
@@ -123,7 +123,7 @@ class NcapService:
             plain = name.removeprefix(_PREFIX).lower()
             if plain in self._cameras:
                 return self._cameras[plain]
-        raise _refused("camera_name", f"{str(name)[:80]!r} is none of {', '.join(cameras)}")
+        raise _refused("camera_name", f"{str(name)[:80]!r} is not one of {', '.join(cameras)}")
 
 
 def _refused(field: str, problem: str) -> RefusedError:
@@ -132,13 +132,13 @@ def _refused(field: str, problem: str) -> RefusedError:
 
 def _listed(value: object, where: str) -> list[Any]:
     if not isinstance(value, list):
-        raise _refused(where, "is no list")
+        raise _refused(where, "is not a list")
     return value
 
 
 def _member(value: object, key: str, where: str) -> Any:
     if not isinstance(value, dict):
-        raise _refused(where, "is no JSON object")
+        raise _refused(where, "is not a JSON object")
     if key not in value:
         raise _refused(f"{where}.{key}" if where != "request" else key, "is missing")
     return value[key]
@@ -168,7 +168,7 @@ def _matrices(value: object, where: str, count: tuple[int, ...]) -> Array:
 
 def _microseconds(value: object, where: str) -> int:
     if type(value) is not int or not 0 <= value < LATEST_US:
-        raise _refused(where, f"{str(value)[:40]} is no time in microseconds since 1970")
+        raise _refused(where, f"{str(value)[:40]} is not a time in microseconds since 1970")
     return value
 
 

@@ -50,7 +50,7 @@ def read_track_names(path: Path | None) -> dict[str, str]:
     value = read_json(path)
     if not isinstance(value, dict) or not all(isinstance(name, str) for name in value.values()):
         raise InputError(
-            path, "JSON", "is no object of texts", 'write {"obj_003": "track of the log", ...}'
+            path, "JSON", "is not an object of texts", 'write {"obj_003": "track of the log", ...}'
         )
     return value
 
@@ -85,7 +85,7 @@ def track_of(table: Table, log: DrivingLog, name: str, candidates: Sequence[str]
     raise InputError(
         table.path,
         f"actor {name}",
-        f"is no track of log {log.name} (looked for {', '.join(candidates)})",
+        f"is not a track of log {log.name} (looked for {', '.join(candidates)})",
         "give the log it was trained on, name its track in a file (`tracks`), or `leave_out` it",
     )
 
@@ -124,7 +124,7 @@ def choose_tracks(
         if track_id not in log.tracks or list(named.values()).count(track_id) > 1:
             raise models.fault(
                 "RigidNodes",
-                f"actor {name}: {track_id} is no track of log {log.name}, or named twice",
+                f"actor {name}: {track_id} is not a track of log {log.name}, or named twice",
                 "mend the file of tracks",
             )
     rest = {name: own for name, own in trajectories.items() if name not in named}
@@ -141,7 +141,7 @@ def choose_tracks(
                 near = f"{found} is nearest, {distance:.1f} m away"
             raise models.fault(
                 "RigidNodes",
-                f"actor {name} is no track of log {log.name}: {near}",
+                f"actor {name} is not a track of log {log.name}: {near}",
                 "give the log it was trained on and its first frame (`first_frame`), name its "
                 "track in a file (`tracks`), or `leave_out` it",
             )

@@ -81,7 +81,7 @@ class Table:
         if isinstance(value, bool) or not isinstance(value, int):
             raise self.fault(name, f"is {type(value).__name__}, not a whole number")
         if not 0 <= value <= 1 << 53:
-            raise self.fault(name, "is no number of steps")
+            raise self.fault(name, "is not a number of steps")
         return value if name in self else None
 
     def tensor(self, name: str, *shape: int | None, dtype: torch.dtype = torch.float32) -> Tensor:
@@ -258,5 +258,5 @@ def read_faces(table: Table, name: str) -> Tensor:
     """
     faces = table.tensor(name, 6, None, None, 3)
     if faces.shape[1] != faces.shape[2] or faces.shape[1] == 0:
-        raise table.fault(name, f"has faces of {list(faces.shape[1:3])}, which are no squares")
+        raise table.fault(name, f"has faces of {list(faces.shape[1:3])}, which are not squares")
     return faces

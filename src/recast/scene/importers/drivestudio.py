@@ -249,7 +249,7 @@ def read_instances(
     sizes = table.tensor("instances_size", count, 3).double().numpy()
     owner = table.tensor("points_ids", len(gaussians), 1)[:, 0].long()
     if len(owner) and not 0 <= int(owner.min()) <= int(owner.max()) < count:
-        raise table.fault("points_ids", f"names an actor that is none of {count}")
+        raise table.fault("points_ids", f"names an actor that is not one of {count}")
     if frames > len(times_us):
         raise table.fault(
             "instances_trans",

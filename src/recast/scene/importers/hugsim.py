@@ -166,7 +166,7 @@ def forward_camera(log: DrivingLog, name: str | None) -> CameraStream:
         name = max(ahead, key=lambda key: ahead[key], default="")
     if name not in cameras:
         listed = ", ".join(sorted(cameras)) or "none, the log has no cameras"
-        problem = "is no camera of the log"
+        problem = "is not a camera of the log"
         raise InputError(log.name, f"camera {name!r}", problem, f"name one of {listed}")
     return cameras[name]
 

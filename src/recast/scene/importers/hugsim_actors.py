@@ -84,7 +84,7 @@ def read_motion(
     times, poses = read_unicycle(file)
     times_us = clock.times_us(times)
     if not np.all((times_us >= 0) & (times_us < LATEST_US)) or np.any(np.diff(times_us) <= 0):
-        problem = "are no times of the log that increase"
+        problem = "are not times of the log that increase"
         raise InputError(file, "train_timestamp", problem, "check the unit (`time_unit`)")
     return Trajectory(times_us.astype(np.int64), world_from_scene @ poses)
 

@@ -47,7 +47,7 @@ def read_members(path: Path) -> tuple[Table, int | None]:
     """
     content = read_torch_file(path, "copy it again", arrays=True)
     if not isinstance(content, tuple | list) or len(content) != 2:
-        raise InputError(path, "file", "is no pair of Gaussians and iteration", _MEND)
+        raise InputError(path, "file", "is not a pair of Gaussians and iteration", _MEND)
     own, iteration = content
     step = iteration if type(iteration) is int and 0 <= iteration <= 1 << 53 else None
     members = _named(path, "Gaussians", own)
@@ -58,7 +58,7 @@ def read_members(path: Path) -> tuple[Table, int | None]:
 
 def _named(path: Path, field: str, members: Any) -> dict[str, Any]:
     if not isinstance(members, tuple | list) or len(members) < len(FIELDS):
-        raise InputError(path, field, f"is no tuple of {len(FIELDS)} members or more", _MEND)
+        raise InputError(path, field, f"is not a tuple of {len(FIELDS)} members or more", _MEND)
     return dict(zip(FIELDS, members, strict=False))
 
 
@@ -104,7 +104,7 @@ def read_camera_poses(path: Path) -> tuple[Array, float]:
     """
     content = read_pickle(path, _MEND)
     if not isinstance(content, tuple | list) or len(content) != 3:
-        raise InputError(path, "pickle", "is no triple of poses, height and commands", _MEND)
+        raise InputError(path, "pickle", "is not a triple of poses, height and commands", _MEND)
     table = Table(path, {"cam_poses": content[0], "cam_height": content[1]})
     poses = rigid_poses(table, "cam_poses", table.array("cam_poses"))
     height = table.number("cam_height")
@@ -124,7 +124,7 @@ def rigid_poses(table: Table, name: str, poses: Array) -> Array:
     turns = poses[:, :3, :3]
     fine = np.all(np.abs(poses) <= WORLD_REACH)  # not NaN
     if not fine or not np.allclose(turns @ turns.swapaxes(1, 2), np.eye(3), 0, 1e-3):
-        raise table.fault(name, "holds a matrix that is no pose in metres", _MEND)
+        raise table.fault(name, "holds a matrix that is not a pose in metres", _MEND)
     if not np.all(np.linalg.det(turns) > 0):
         raise table.fault(name, "holds a mirrored pose", _MEND)
     return se3.from_rotation_translation(se3.nearest_rotations(turns)[0], poses[:, :3, 3])
@@ -154,11 +154,11 @@ def read_recordings(path: Path) -> dict[str, Recording]:
     value = read_json(path)
     frames = value.get("frames") if isinstance(value, dict) else None
     if not isinstance(frames, list) or not frames:
-        raise InputError(path, "frames", "is no list, or empty", _MEND)
+        raise InputError(path, "frames", "is not a list, or empty", _MEND)
     rows: dict[str, list[tuple[float, Array, Table]]] = {}
     for index, row in enumerate(frames):
         if not isinstance(row, dict):
-            raise InputError(path, f"frames[{index}]", "is no table", _MEND)
+            raise InputError(path, f"frames[{index}]", "is not a table", _MEND)
         frame = Table(path, row, f"frames[{index}]")
         pose = rigid_poses(frame, "camtoworld", frame.array("camtoworld")[None])[0]
         name = PurePosixPath(frame.text("rgb_path")).parent.name or "camera"
@@ -205,12 +205,12 @@ def read_unicycle(path: Path) -> tuple[Array, Array]:
     """
     content = read_torch_file(path, "copy it again", arrays=True)
     if not isinstance(content, tuple | list) or len(content) != len(MOTION):
-        raise InputError(path, "file", f"is no tuple of {len(MOTION)} members", _MEND)
+        raise InputError(path, "file", f"is not a tuple of {len(MOTION)} members", _MEND)
     table = Table(path, dict(zip(MOTION, content, strict=True)))
     times = table.array("train_timestamp").reshape(-1)
     count = len(times)
     if count == 0 or not np.all(np.abs(times) < 1e15) or not np.all(np.diff(times) > 0):
-        raise table.fault("train_timestamp", "are no times that increase")
+        raise table.fault("train_timestamp", "are not times that increase")
     across, along, height, yaw = (
         _values(table, name, count, 1)[:, 0] for name in ("a", "b", "h", "yaw")
     )

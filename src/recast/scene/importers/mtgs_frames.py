@@ -63,7 +63,7 @@ def read_places(frames: Sequence[Table]) -> tuple[Int64Array, Array]:
         place = frame.array(name)
         place = place[:3, 3] if place.shape == (4, 4) else place
         if place.shape != (3,) or not np.all(np.abs(place) <= WORLD_REACH):  # also NaN
-            raise frame.fault(name, "is no pose in metres", _MEND)
+            raise frame.fault(name, "is not a pose in metres", _MEND)
         times.append(round(time))
         places.append(place)
     return np.array(times, np.int64), np.array(places, np.float64).reshape(-1, 3)

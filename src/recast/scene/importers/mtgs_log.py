@@ -109,7 +109,7 @@ def _placed(table: Table, rotation: str, translation: str) -> Array:
     if turn.shape == (4,) and 1e-6 < np.linalg.norm(turn) < 1e6:
         turn = se3.quat_to_matrix(turn)
     if turn.shape != (3, 3) or not np.all(np.isfinite(turn)):
-        raise table.fault(rotation, "is no quaternion and no rotation matrix", _MEND)
+        raise table.fault(rotation, "is neither a quaternion nor a rotation matrix", _MEND)
     if place.shape != (3,) or not np.all(np.isfinite(place)):
         raise table.fault(translation, "is not three metres", _MEND)
     return se3.from_rotation_translation(turn, place)

@@ -186,7 +186,7 @@ def read_motion(node: Node, log: DrivingLog, world_from_scene: Array) -> Motion 
         raise config.fault("log_timestamps", f"has {len(times)} times for {len(places)} poses")
     own = times[rows]
     if not np.all((own >= 0) & (own < 2.0**53)) or not np.all(np.diff(own.round()) > 0):
-        raise config.fault("log_timestamps", "are no microseconds that increase")
+        raise config.fault("log_timestamps", "are not microseconds that increase")
     gaps = bool(np.any(np.diff(rows) > 1))
     return Motion(Trajectory(own.round().astype(np.int64), poses), static=False, gaps=gaps)
 

@@ -121,5 +121,5 @@ def read_ego(config: Table) -> tuple[Int64Array, Array] | None:
         problem = f"has shape {list(poses.shape)}, expected [{len(times)}, 4, 4] in metres"
         raise saved.fault("ego_to_global", problem)
     if not np.all((times >= 0) & (times < LATEST_US)):
-        raise saved.fault("training_timestamps_us", "are no microseconds")
+        raise saved.fault("training_timestamps_us", "are not microseconds")
     return times.round().astype(np.int64), poses[:, :3, 3] - read_shift(config)

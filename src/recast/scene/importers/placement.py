@@ -111,7 +111,7 @@ def frame_times(log: DrivingLog, clock: str | None, first: int = 0) -> Int64Arra
         raise InputError(
             log.name,
             f"clock {clock!r}",
-            "is no sensor of the log",
+            "is not a sensor of the log",
             f"name one of {', '.join(sorted(sensors)) or 'none, there are no sensors'}",
         )
     times = sensors[clock]

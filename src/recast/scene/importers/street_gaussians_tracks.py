@@ -207,7 +207,7 @@ def _seconds(folder: Path, name: str, frames: Sequence[int]) -> dict[int, float]
 def _numbers(path: Path) -> dict[str, int]:
     value = read_json(path)
     if not isinstance(value, dict) or not all(isinstance(n, int) for n in value.values()):
-        raise InputError(path, "JSON", "is no object of track numbers", _MEND)
+        raise InputError(path, "JSON", "is not an object of track numbers", _MEND)
     return value
 
 
@@ -237,7 +237,7 @@ def read_boxes(
         try:
             track = int(row.track)
         except ValueError:
-            problem = f"{row.track!r} is no number"
+            problem = f"{row.track!r} is not a number"
             raise InputError(path, f"{row.where}: track", problem, _MEND) from None
         if not seen_by.get((track, row.frame), frozenset()) & set(cameras):
             continue
@@ -290,5 +290,5 @@ def _visibility(path: Path) -> dict[tuple[int, int], frozenset[int]]:
         }
     except (AttributeError, TypeError, ValueError, OverflowError) as error:
         raise InputError(
-            path, "JSON", f"is no table of cameras by track and frame ({error})", _MEND
+            path, "JSON", f"is not a table of cameras by track and frame ({error})", _MEND
         ) from None

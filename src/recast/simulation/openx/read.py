@@ -105,7 +105,7 @@ def _entity(
 ) -> Entity:
     body = next(iter(element), None)
     if body is None or body.tag not in ("Vehicle", "Pedestrian"):
-        raise file.fault("ScenarioObject", f"{name!r} is no vehicle or pedestrian")
+        raise file.fault("ScenarioObject", f"{name!r} is not a vehicle or pedestrian")
     if name != EGO and not name.startswith(TRACK):
         raise file.fault("ScenarioObject", f"{name!r} is not the name of a track")
     sides = file.one(body, "BoundingBox/Dimensions")

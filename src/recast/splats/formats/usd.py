@@ -225,7 +225,7 @@ def _array(path: Path, body: bytes, name: str, arrays: list[bytes]) -> Array:
             warnings.simplefilter("error")  # of numbers that cannot be read
             values = np.fromstring(text, np.float64, sep=",") if text.strip() else np.zeros(0)
     except (DeprecationWarning, ValueError):
-        raise InputError(path, name, "holds what is no number", _MEND) from None
+        raise InputError(path, name, "holds what is not a number", _MEND) from None
     if values.size != (tuples * width if width > 1 else values.size) or (width == 1 and tuples):
         raise InputError(path, name, f"holds {values.size} numbers in {tuples} tuples", _MEND)
     return values.reshape(-1, width)
@@ -235,4 +235,4 @@ def _number(path: Path, name: str, text: bytes) -> float:
     try:
         return float(text)
     except ValueError:
-        raise InputError(path, name, "is no number", _MEND) from None
+        raise InputError(path, name, "is not a number", _MEND) from None

@@ -243,7 +243,7 @@ def render_camera(
     if not (np.isfinite(exposure) and exposure > 0):
         raise ValueError(f"exposure: must be positive, got {exposure}")
     if quality not in get_args(Quality):
-        raise ValueError(f"quality: {quality!r} is none of {get_args(Quality)}")
+        raise ValueError(f"quality: {quality!r} is not one of {get_args(Quality)}")
     posed, light = scene.posed(poses), sky_light(sky)
     shown = {name: place for name, place in poses.items() if name not in hidden}
     seen = Seen(scene.posed(shown) if len(shown) < len(poses) else posed, street)

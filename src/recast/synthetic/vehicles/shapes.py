@@ -278,7 +278,7 @@ def _axes(path: Path, up: str, forward: str) -> Array:
     for name, value in (("forward", forward), ("up", up)):
         axis = value.removeprefix("-")
         if axis not in ("x", "y", "z"):
-            raise InputError(path, name, f"{value!r} is no axis", "use x, y, z, -x, -y or -z")
+            raise InputError(path, name, f"{value!r} is not an axis", "use x, y, z, -x, -y or -z")
         rows.append(np.eye(3)["xyz".index(axis)] * (-1 if value.startswith("-") else 1))
     if abs(rows[0] @ rows[1]) > 0:
         raise InputError(path, "up", f"{up!r} is the axis of forward too", "use another axis")
