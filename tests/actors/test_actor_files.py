@@ -75,7 +75,7 @@ def test_a_size_that_no_vehicle_has(actor: Actor, tmp_path: Path, size: list[flo
     save_actor(actor, tmp_path / "actor")
     file = tmp_path / "actor" / "actor.json"
     file.write_text(json.dumps(json.loads(file.read_text()) | {"size": size}))
-    with pytest.raises(InputError, match=r"Actor\.size: three metres of") as caught:
+    with pytest.raises(InputError, match=r"Actor\.size: expected three lengths of") as caught:
         load_actor(tmp_path / "actor")
     assert str(tmp_path / "actor") in str(caught.value)
 

@@ -52,15 +52,15 @@ def test_the_logged_box_stands_in_where_nothing_is_detected() -> None:
     for prompt in (chosen(), chosen(shifted(0, 0.2))):
         assert not prompt.detected
         assert np.array_equal(prompt.box, LOGGED)
-        assert "nothing was detected as 'a car.'" in prompt.reason
+        assert "no object was detected as 'a car.'" in prompt.reason
 
 
 def test_the_logged_box_stands_in_where_nothing_overlaps() -> None:
     prompt = chosen(shifted(60, 0.9), shifted(-70, 0.9))
     assert not prompt.detected
     assert np.array_equal(prompt.box, LOGGED)
-    assert "of 2 detected" in prompt.reason
-    assert "the best by 0.25" in prompt.reason
+    assert "none of the 2 objects detected" in prompt.reason
+    assert "best: 0.25" in prompt.reason
 
 
 def test_a_detection_of_the_whole_picture_is_not_the_vehicle() -> None:

@@ -71,7 +71,7 @@ def test_a_detection_prompts_the_mask(networks: Path, target: SegmentationTarget
     assert found.alpha.dtype == np.uint8
     assert 0 < (found.alpha > 127).mean() < 1
     assert found.notes[0].startswith("box from the detector: ")
-    assert not any("stood in" in doubt for doubt in found.doubts)
+    assert not any("used instead" in doubt for doubt in found.doubts)
     again = GroundedSamSegmenter(networks, ANY_DETECTION, "cpu").segment(target)
     assert np.array_equal(found.alpha, again.alpha)
 
@@ -90,8 +90,8 @@ def test_detections_lie_in_the_crop(networks: Path, target: SegmentationTarget) 
 def test_the_logged_box_stands_in(networks: Path, target: SegmentationTarget) -> None:
     segmenter = GroundedSamSegmenter(networks, NO_DETECTION, "cpu")
     found = segmenter.segment(target)
-    assert found.notes[0].startswith("box from the log: nothing was detected as 'a car.'")
-    assert any("the logged box stood in" in doubt for doubt in found.doubts)
+    assert found.notes[0].startswith("box from the log: no object was detected as 'a car.'")
+    assert any("the logged box was used instead" in doubt for doubt in found.doubts)
     masks, predicted = segmenter.propose(target.image, logged_rectangle(target))
     assert masks.shape == (3, *target.image.shape[:2])
     best = masks[choose_mask(masks, predicted, target, logged_rectangle(target))]
@@ -102,8 +102,8 @@ def test_the_logged_box_stands_in(networks: Path, target: SegmentationTarget) ->
 def test_what_stood_in_is_shown(networks: Path, street: DrivingLog) -> None:
     seen = observe(street, "7", segmenter=GroundedSamSegmenter(networks, NO_DETECTION, "cpu"))
     words = seen.explain()
-    assert "box from the log: nothing was detected" in words
-    assert "warning: the logged box stood in: nothing was detected" in words
+    assert "box from the log: no object was detected" in words
+    assert "warning: the logged box was used instead: no object was detected" in words
     assert "of the crop's border" in words
     assert seen.mask_quality.notes
     assert seen.mask_quality.warnings()[-len(seen.mask_quality.doubts) :] == (

@@ -155,7 +155,7 @@ def test_libraries_of_no_use(observation: Observation, tmp_path: Path) -> None:
         LibraryGenerator(tmp_path)
     (tmp_path / "a.ply").write_text("ply")
     (tmp_path / "b.obj").write_text("v 0 0 0")
-    with pytest.raises(InputError, match="holds 2, none can be used") as error:
+    with pytest.raises(InputError, match="holds 2 vehicles, but none can be used") as error:
         LibraryGenerator(tmp_path).generate(observation, 0)
     assert "\n" not in str(error.value)
 

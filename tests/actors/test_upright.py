@@ -139,7 +139,7 @@ def test_a_ply_that_lies_on_its_side_is_registered_upright(
     pose = se3.from_rotation_translation(rotation @ se3.rotation_z(0.4), [0.1, 0.2, -0.3])
     write_ply(tmp_path / "car.ply", red_car.transformed(torch.from_numpy(pose), 0.22))
     asset = SplatGenerator(tmp_path / "car.ply").generate(observation, 0)
-    assert "told from the shape" in str(asset.details["axes"])
+    assert "inferred from the shape" in str(asset.details["axes"])
     placed = register(asset, observation, street, street.tracks["7"])
     assert float((placed.gaussians.means - red_car.means).norm(dim=1).mean()) < 0.06
     assert placed.provenance.registration.axes == asset.axes.name
@@ -171,9 +171,9 @@ def test_shapes_that_are_refused(
     for points, message in (
         (ball, r"no orientation fits a box of 4\.40 x 1\.75 x 1\.45 m"),
         (vehicle("template bus")[0], "no orientation fits"),
-        (box_points(observation.size), "does not tell which way is up"),
+        (box_points(observation.size), "does not show which way is up"),
         (box_points(np.array([1.0, 1.0, 1e-12])), "on a line or in a plane"),
-        (np.zeros((100, 3)), "in one place"),
+        (np.zeros((100, 3)), "at one point"),
         (np.outer(np.linspace(0, 1, 100), [1.0, 2.0, 3.0]), "on a line or in a plane"),
     ):
         write_ply(path, points_gaussians(points))
@@ -237,7 +237,7 @@ def test_axes_by_name_and_by_two_axes(text: str, forward: str, up: str, front: b
     "text", ["", "up", "w-up", "x", "x,x", "x,-x", "x,y,z", "x,q", ",", "auto "]
 )
 def test_axes_that_are_refused(text: str) -> None:
-    with pytest.raises(InputError, match="is no axis convention"):
+    with pytest.raises(InputError, match="is not an axis convention"):
         axes_of(text)
 
 
@@ -245,8 +245,8 @@ def test_axes_of_the_command_line(tmp_path: Path, capsys: pytest.CaptureFixture[
     write_ply(tmp_path / "car.ply", points_gaussians(box_points(np.ones(3))))
     make = ["actor", "make", str(tmp_path), "--track", "7", "--out", str(tmp_path / "out")]
     for generator, axes, message in (
-        ("template", "y-up", "is not for the generator template, which knows its axes"),
-        (str(tmp_path / "car.ply"), "sideways", "is no axis convention"),
+        ("template", "y-up", "does not apply to the generator template, whose axes are fixed"),
+        (str(tmp_path / "car.ply"), "sideways", "is not an axis convention"),
     ):
         assert main([*make, "--generator", generator, "--axes", axes]) == 2
         told = " ".join(capsys.readouterr().err.split())

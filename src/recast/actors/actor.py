@@ -85,12 +85,12 @@ class RegistrationReport(Record):
         """A few lines for people."""
         sides = ", ".join(f"{side} {count}" for side, count in self.lidar_by_side.items())
         votes = ", ".join(f"{kind} {vote:+.1f}" for kind, vote in self.front.votes.items())
-        turned = "turned half around" if self.front.flipped else "kept"
+        turned = "turned by 180 degrees" if self.front.flipped else "kept"
         ended = "converged" if self.icp_converged else "stopped"
         return "\n".join(
             [
-                f"scale {self.initial_scale:.3f} from the length; of the box's width "
-                f"{self.width_over_box:.2f}, of its height {self.height_over_box:.2f}",
+                f"scale {self.initial_scale:.3f} from the length; fills {self.width_over_box:.2f} "
+                f"of the box's width, {self.height_over_box:.2f} of its height",
                 f"front {turned} ({votes})",
                 f"LiDAR to actor, median {self.before.median:.3f} -> {self.after.median:.3f} m, "
                 f"mean {self.before.mean:.3f} -> {self.after.mean:.3f} m, within 0.10 m "
@@ -312,9 +312,11 @@ class Actor:
         """Raise ValueError naming the field at fault."""
         least, most = BOX_SIDE
         if self.size.shape != (3,) or not np.all((self.size >= least) & (self.size <= most)):
-            raise ValueError(f"Actor.size: three metres of {least} to {most}, got {self.size}")
+            raise ValueError(
+                f"Actor.size: expected three lengths of {least} to {most} m, got {self.size}"
+            )
         if len(self.gaussians) == 0:
-            raise ValueError("Actor.gaussians: none")
+            raise ValueError("Actor.gaussians: expected at least one")
         self.gaussians.validate()
         self.shadow.validate()
         fault = None if self.shares is None else self.shares.fault(len(self.gaussians))
@@ -325,8 +327,11 @@ class Actor:
         if self.sun is not None and (
             self.sun.shape != (DIRECTIONS,) or not np.isfinite(self.sun).all()
         ):
-            raise ValueError(f"Actor.sun: {DIRECTIONS} finite numbers, got shape {self.sun.shape}")
+            raise ValueError(
+                f"Actor.sun: expected {DIRECTIONS} finite numbers, got shape {self.sun.shape}"
+            )
         if self.source.ndim != 3 or self.source.shape[2] != 4 or self.source.dtype != np.uint8:
             raise ValueError(
-                f"Actor.source: (H, W, 4) uint8, got {self.source.shape} {self.source.dtype}"
+                f"Actor.source: expected (H, W, 4) uint8, got {self.source.shape} "
+                f"{self.source.dtype}"
             )

@@ -72,7 +72,9 @@ class AxisConvention:
 
 def _axis(name: str) -> Array:
     if len(name) != 2 or name[0] not in "+-" or name[1] not in "xyz":
-        raise ValueError(f"AxisConvention: axis {name!r}, expected a sign and a letter such as +x")
+        raise ValueError(
+            f"AxisConvention: {name!r} is not an axis (a sign and a letter, such as +x)"
+        )
     axis = np.zeros(3)
     axis["xyz".index(name[1])] = 1.0 if name[0] == "+" else -1.0
     return axis
@@ -104,8 +106,7 @@ UPS = {
 AUTO = "auto"
 """Name that stands for telling the axes from the shape, see `recast.actors.axes`."""
 AXES_HELP = (
-    "auto, z-up, y-up, minus-y-up or another UP, or FORWARD,UP such as x,z (--axes=-y,z with a "
-    "minus), which says where the front is"
+    "auto, an up axis such as z-up, y-up or minus-y-up, or FORWARD,UP such as x,z (or --axes=-y,z)"
 )
 
 
@@ -127,7 +128,7 @@ def axes_of(text: str) -> AxisConvention:
         raise InputError(
             "`axes`",
             text,
-            "is no axis convention",
+            "is not an axis convention",
             f"give {AXES_HELP}; or one of {', '.join(CONVENTIONS)}",
         ) from None
     return convention
@@ -174,8 +175,8 @@ class Posture:
         """One line with the evidence."""
         votes = ", ".join(f"{kind} {vote:+.1f}" for kind, vote in self.votes.items())
         return (
-            f"{self.axes.name}: width x{self.width_over_box:.2f} and height "
-            f"x{self.height_over_box:.2f} of the box's, {votes}"
+            f"{self.axes.name}: {self.width_over_box:.2f} of the box's width and "
+            f"{self.height_over_box:.2f} of its height, {votes}"
         )
 
 
@@ -202,7 +203,7 @@ def upright(points: Array, size: ArrayLike, path: Path) -> Posture:
     Raises:
         InputError: no orientation fits the box, or the shape does not tell it.
     """
-    mend = f"name them by `axes`: {AXES_HELP}"
+    mend = f"give `axes`: {AXES_HELP}"
     best, second, *_ = found = postures(points, size)
     if not best.fits:
         box = " x ".join(f"{metres:.2f}" for metres in np.asarray(size))
@@ -219,8 +220,8 @@ def upright(points: Array, size: ArrayLike, path: Path) -> Posture:
         raise InputError(
             path,
             "axes",
-            f"the shape does not tell which way is up: {best.explain()}; "
-            f"next is {second.axes.name}",
+            f"the shape does not show which way is up: {best.explain()}; "
+            f"second best is {second.axes.name}",
             mend,
         )
     return best

@@ -109,7 +109,9 @@ def choose(
     if progress is not None:
         progress(len(makers), len(makers))
     if best is None:
-        raise failure or InputError("candidates", "vehicles", "none were made", "name a generator")
+        raise failure or InputError(
+            "candidates", "vehicles", "none was generated", "name at least one generator"
+        )
     _, chosen, actor = best
     rows[chosen] = rows[chosen].model_copy(update={"chosen": True})
     provenance = actor.provenance.model_copy(update={"candidates": tuple(rows)})

@@ -70,9 +70,9 @@ class Shares:
                     f"shape {tuple(value.shape)} {value.dtype}, expected ({count},) float32",
                 )
             if not bool(((value >= 0) & (value <= 1)).all()):  # also NaN
-                return name, "holds a value outside of [0, 1]"
+                return name, "holds values outside [0, 1]"
         if not bool((self.seen + self.mirrored <= 1 + 1e-5).all()):
-            return "mirrored", "seen and mirrored are more than one together"
+            return "mirrored", "the sum of seen and mirrored exceeds 1"
         return None
 
 

@@ -91,7 +91,7 @@ class GrabCutRemover:
             mask = _refined(image, mask)
         doubts = mask_doubts(mask)
         if not told:
-            doubts = ("the colours along the border do not tell the vehicle apart", *doubts)
+            doubts = ("the vehicle has the colours of the border", *doubts)
         return Segmentation(feather(mask), ("GrabCut from the border",), doubts)
 
 
@@ -100,10 +100,10 @@ def mask_doubts(mask: Mask) -> tuple[str, ...]:
     doubts: list[str] = []
     share = float(mask.mean())
     if share < SMALLEST_SHARE or share > LARGEST_SHARE:
-        doubts.append(f"the mask covers {100 * share:.1f} % of the picture")
+        doubts.append(f"the mask covers {100 * share:.1f} % of the image")
     border = np.concatenate([mask[0], mask[-1], mask[:, 0], mask[:, -1]])
     if border.mean() > _TOUCH:
-        doubts.append(f"the mask touches {100 * border.mean():.0f} % of the picture's border")
+        doubts.append(f"the mask touches {100 * border.mean():.0f} % of the image's border")
     return tuple(doubts)
 
 
@@ -207,7 +207,7 @@ class GroundedSamRemover:
         height, width = image.shape[:2]
         found = central_detection(self.networks.detect(image, text_prompt(category)), width, height)
         box = np.array([0.05 * width, 0.05 * height, 0.95 * width, 0.95 * height])
-        doubts = [f"no {category} was detected in the middle of the picture"]
+        doubts = [f"no {category} was detected in the middle of the image"]
         if found is not None:
             box, doubts = found.box, []
         masks, predicted = self.networks.propose(image, box)
@@ -217,11 +217,14 @@ class GroundedSamRemover:
         best = int(np.argmax(np.where(masks.any(axis=(1, 2)), scores, -1.0)))
         if not masks[best].any():
             raise InputError(
-                self.networks.sam.path, "mask", "is empty for this picture", "cut it out by hand"
+                self.networks.sam.path,
+                "mask",
+                "is empty for this image",
+                "cut the vehicle out by hand",
             )
         mask = large_pieces(masks[best], _SPECK)
         if predicted[best] < _SURE:
-            doubts.append(f"SAM expects its mask to be right by {predicted[best]:.2f} only")
+            doubts.append(f"SAM predicts an overlap of only {predicted[best]:.2f} for its mask")
         return Segmentation(
             feather(mask), (f"mask {best + 1} of {len(masks)}",), (*doubts, *mask_doubts(mask))
         )

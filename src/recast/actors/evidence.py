@@ -111,7 +111,8 @@ class Evidence:
         lines = [
             f"track {self.track_id}: {len(self.sightings)} images"
             + "".join(f", {count} of {name}" for name, count in cameras.items()),
-            f"{len(self.hits)} LiDAR points, {len(self.free.centres)} cells of the box seen empty",
+            f"{len(self.hits)} LiDAR points, {len(self.free.centres)} cells of the box observed "
+            "as empty",
         ]
         lines += [f"left out {count}: {reason}" for reason, count in Counter(self.left_out).items()]
         return "\n".join(lines)

@@ -66,7 +66,7 @@ def gather_evidence(
     for index, score in enumerate(scores):
         score = check_lidar(log, track, score, sweeps)
         if score.unblocked * score.unoccluded < _LEAST_VISIBLE:
-            left_out.append("something hides it")
+            left_out.append("hidden by another object")
         else:
             sighting = _sight(log, track, score, few, segmenter, config, sweeps)
             if sighting is None:
@@ -76,7 +76,7 @@ def gather_evidence(
         if progress is not None:
             progress(index + 1, len(scores))
     sightings, refused = settle_masks(_weighted_by_sharpness(sightings), track.size)
-    left_out += ["its mask is at odds with the others"] * len(refused)
+    left_out += ["mask contradicts the other masks"] * len(refused)
     return Evidence(
         track_id=track_id,
         category=track.category,
@@ -106,7 +106,7 @@ def _candidates(
             elif score.in_image < _LEAST_IN_IMAGE:
                 left_out.append("mostly outside the image")
             elif score.unoccluded < _LEAST_VISIBLE:
-                left_out.append("something hides it")
+                left_out.append("hidden by another object")
             else:
                 scores.append(score)
     scores.sort(key=lambda score: (score.timestamp_us, score.camera))

@@ -105,8 +105,8 @@ def make_generator(generator: str | Path | ActorGenerator, axes: str = AUTO) -> 
         raise InputError(
             "`axes`",
             axes,
-            f"is not for the generator {generator}, which knows its axes",
-            "leave it out",
+            f"does not apply to the generator {generator}, whose axes are fixed",
+            "leave `axes` out",
         )
     return GENERATORS.resolve(generator, **options)
 

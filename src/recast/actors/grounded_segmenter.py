@@ -144,7 +144,7 @@ def choose_box(
     found = [d for d in detections if d.score >= rule.score]
     if not found:
         return BoxPrompt(
-            logged, False, f"nothing was detected as {prompt!r} with a score of {rule.score:.2f}"
+            logged, False, f"no object was detected as {prompt!r} with a score of {rule.score:.2f}"
         )
     overlaps = [rectangle_overlap(d.box, logged) for d in found]
     best = max(overlaps)
@@ -152,8 +152,8 @@ def choose_box(
         return BoxPrompt(
             logged,
             False,
-            f"of {len(found)} detected as {prompt!r} none overlaps the logged box by "
-            f"{rule.overlap:.2f}, the best by {best:.2f}",
+            f"none of the {len(found)} objects detected as {prompt!r} overlaps the logged box by "
+            f"{rule.overlap:.2f} (best: {best:.2f})",
         )
     equal = [i for i, overlap in enumerate(overlaps) if overlap >= best - rule.tie]
     chosen = max(equal, key=lambda i: (found[i].score, overlaps[i]))
@@ -161,7 +161,7 @@ def choose_box(
         found[chosen].box,
         True,
         f"{found[chosen].label!r} detected with score {found[chosen].score:.2f}, overlap "
-        f"{overlaps[chosen]:.2f} with the logged box, one of {len(found)}",
+        f"{overlaps[chosen]:.2f} with the logged box, 1 of {len(found)} detections",
     )
 
 
@@ -243,12 +243,12 @@ class GroundedSamSegmenter:
                 self.sam.path,
                 "mask",
                 "is empty for this crop",
-                "take the view from another camera, or use `segmenter` box-lidar",
+                "use the view of another camera, or `segmenter` box-lidar",
             )
         best = choose_mask(masks, predicted, target, prompt.box)
-        doubts = [] if prompt.detected else [f"the logged box stood in: {prompt.reason}"]
+        doubts = [] if prompt.detected else [f"the logged box was used instead: {prompt.reason}"]
         if predicted[best] < _SURE:
-            doubts.append(f"SAM expects its mask to be right by {predicted[best]:.2f} only")
+            doubts.append(f"SAM predicts an overlap of only {predicted[best]:.2f} for its mask")
         return Segmentation(
             alpha=feather(large_pieces(masks[best], _SPECK)),
             notes=(

@@ -76,7 +76,7 @@ def require_volume(points: Array) -> None:
         raise ValueError(f"{len(points)} opaque points, at least 50 are needed")
     spread = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
     if not spread[-1] > _LEAST_SPREAD * spread[0]:
-        raise ValueError("opaque points lie in one place, on a line or in a plane")
+        raise ValueError("all opaque points lie at one point, on a line or in a plane")
 
 
 def seen_from_outside(points: Array) -> tuple[Array, NDArray[np.bool_]]:

@@ -95,7 +95,7 @@ def _read(path: Path, changed_ns: int, size: int) -> Summary | str:
     except InputError as error:
         return str(error)
     if len(points) == 0:
-        return f"{path}: nothing of it is opaque"
+        return f"{path}: has no opaque surface"
     sides: Array = np.sort(extent(points))
     if not sides[0] > 0:
         return f"{path}: has no volume"
@@ -244,7 +244,9 @@ class LibraryGenerator:
             except InputError as error:
                 left_out.append(str(error))
         if not placed:
-            raise self._none(f"holds {len(self.vehicles)}, none can be used: {left_out[0]}")
+            raise self._none(
+                f"holds {len(self.vehicles)} vehicles, but none can be used: {left_out[0]}"
+            )
         return sorted(placed, key=lambda one: (one.cost, one.path.name)), left_out
 
     def _placed(self, one: Ranked, observation: Observation) -> Ranked:
@@ -293,7 +295,7 @@ class LibraryGenerator:
         return ClipImages.read(folder) if folder.is_dir() else None
 
     def _none(self, problem: str) -> InputError:
-        mend = f"put *{', *'.join(VEHICLE_SUFFIXES)} or folders of actors into it"
+        mend = f"put *{', *'.join(VEHICLE_SUFFIXES)} or folders of actors into the folder"
         return InputError(self.folder, "vehicles", problem, mend)
 
 

@@ -118,7 +118,10 @@ class MaskQuality:
                 f"only {self.lidar_inside:.0%} of the vehicle's LiDAR points are in the mask"
             )
         if self.lidar_outside < _LIDAR_SHARE:
-            found.append(f"only {self.lidar_outside:.0%} of the background's points are outside it")
+            found.append(
+                f"only {self.lidar_outside:.0%} of the background's LiDAR points are outside the "
+                "mask"
+            )
         return (*found, *self.doubts)
 
 

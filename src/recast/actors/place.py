@@ -127,7 +127,7 @@ def stood_up(asset: Asset) -> tuple[Gaussians, Surface]:
         InputError: it is hardly opaque, has no volume, or has values that are not finite or out of
             range, if only at the size of a box.
     """
-    where, mend = f"asset of {asset.generator}", "take another seed, or export it again"
+    where, mend = f"asset of {asset.generator}", "use another seed, or export the asset again"
     fault = asset.gaussians.fault()
     if fault is not None:
         raise InputError(where, *fault, mend)

@@ -82,7 +82,7 @@ def run_segmenter(segmenter: Segmenter, target: SegmentationTarget) -> Segmentat
     alpha = np.array(segmentation.alpha)
     if alpha.shape != target.image.shape[:2] or alpha.dtype != np.uint8:
         raise ValueError(
-            f"{type(segmenter).__name__}.segment: alpha {target.image.shape[:2]} uint8 expected, "
+            f"{type(segmenter).__name__}.segment: expected alpha {target.image.shape[:2]} uint8, "
             f"got {alpha.shape} {alpha.dtype}"
         )
     return replace(segmentation, alpha=alpha)

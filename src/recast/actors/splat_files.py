@@ -73,7 +73,7 @@ class SplatGenerator:
                 mend = "export the asset again"
                 raise InputError(self.path, "shape", str(error), mend) from None
             found = upright(points, observation.size, self.path)
-            axes, details["axes"] = found.axes, f"told from the shape: {found.explain()}"
+            axes, details["axes"] = found.axes, f"inferred from the shape: {found.explain()}"
         low_pass = self.low_pass or self.format.low_pass(self.path)
         if low_pass is None:
             low_pass = MIP if made_by_trellis(gaussians) else CLASSIC

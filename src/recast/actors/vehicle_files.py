@@ -40,7 +40,7 @@ REFINED_FILE = "refined.safetensors"
 SOURCE_PIXELS = 1 << 26
 """Pixels of a source image, at most: a crop of a camera's image has far fewer."""
 
-_MEND = "generate the actor again with this recast"
+_MEND = "generate the actor again with this version of recast"
 _FIELDS = ("means", "quats", "log_scales", "logit_opacities", "sh")
 VEHICLE_SUFFIXES = tuple(dict.fromkeys((".ply", *MESH_SUFFIXES, *SPLAT_SUFFIXES)))
 """Ends of the names of files that hold a vehicle, in lower case."""

@@ -58,8 +58,8 @@ def test_lidar_is_in_the_box_frame(found: Evidence) -> None:
 def test_a_hidden_track_has_no_image_and_a_reason(street: DrivingLog) -> None:
     found = gather_evidence(street, "8", segmenter=BoxLidarSegmenter(), config=EVERY_FRAME)
     assert not found.sightings
-    assert set(found.left_out) == {"something hides it"}
-    assert "something hides it" in found.explain()
+    assert set(found.left_out) == {"hidden by another object"}
+    assert "hidden by another object" in found.explain()
 
 
 def test_no_such_track(street: DrivingLog) -> None:

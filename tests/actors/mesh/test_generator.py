@@ -164,7 +164,7 @@ def test_a_car_stands_up_at_any_scale(
     glb.tree["nodes"][0]["scale"] = [scale] * 3
     asset = MeshGenerator(glb.write(tmp_path / "car.glb"), spacing=0.03).generate(observation, 0)
     assert asset.axes.up == "+y"
-    assert "told from the shape" in str(asset.details["axes"])
+    assert "inferred from the shape" in str(asset.details["axes"])
     extent = np.ptp(asset.gaussians.means.numpy(), axis=0)[[2, 0, 1]]
     np.testing.assert_allclose(extent, CAR / CAR[0] * observation.size[0], rtol=0.02)
     unit = float(observation.size[0]) / 4.0 / scale

@@ -125,13 +125,13 @@ class MeshGenerator:
         try:
             seen = outside(samples)
         except ValueError as error:
-            raise InputError(self.path, "mesh", str(error), "export it again") from None
+            raise InputError(self.path, "mesh", str(error), "export the mesh again") from None
         if isinstance(self.axes, AxisConvention):
             axes = self.axes
         else:
             opaque = seen.samples.alpha >= 1
             found = upright(seen.samples.points[opaque], observation.size, self.path)
-            axes, details["axes"] = found.axes, f"told from the shape: {found.explain()}"
+            axes, details["axes"] = found.axes, f"inferred from the shape: {found.explain()}"
         turn = axes.rotation()
         standing = replace(
             seen.samples, points=seen.samples.points @ turn.T, normals=seen.samples.normals @ turn.T

@@ -142,7 +142,7 @@ class _Reader:
         weighted = zip(primitive.targets, primitive.weights, strict=False)
         moved = [(target, weight) for target, weight in weighted if weight]
         if len(moved) > _MOST_TARGETS:
-            raise file.fault(f"{field}.targets", f"{_MOST_TARGETS} are read at most")
+            raise file.fault(f"{field}.targets", f"at most {_MOST_TARGETS} with a weight are read")
         for target, weight in moved:
             if "POSITION" in target:
                 name = f"{field}.targets.POSITION"
@@ -170,7 +170,9 @@ class _Reader:
         if primitive.indices is not None:
             indices = self._file.array(primitive.indices, f"{field}.indices", (1,))[:, 0]
             if indices.dtype.kind != "u":
-                raise self._file.fault(f"{field}.indices", f"are of type {indices.dtype}")
+                raise self._file.fault(
+                    f"{field}.indices", f"are {indices.dtype}, expected unsigned integers"
+                )
             order = indices.astype(np.int64)
         if primitive.mode == TRIANGLES:
             return order[: len(order) // 3 * 3].reshape(-1, 3)
@@ -216,11 +218,11 @@ class _Reader:
         webp = file.extension(texture, _WEBP, Texture)
         source = texture.source if webp is None else webp.source
         if source is None:
-            named = ", ".join(texture.extensions) or "a format that is not read"
-            raise file.fault(field, f"has no picture, or only one of {named}")
+            named = ", ".join(texture.extensions) or "it names no source"
+            raise file.fault(field, f"has no image of a supported format ({named})")
         if source not in self._textures:
             if len(self._textures) >= MOST_TEXTURES:
-                raise file.fault("images", f"{MOST_TEXTURES} of colours are the most")
+                raise file.fault("images", f"at most {MOST_TEXTURES} are read")
             data = self._picture(source, field)
             self._textures[source] = decoded(file.path, data, f"images.{source}")
         wrap = REPEATED

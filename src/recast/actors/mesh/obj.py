@@ -290,7 +290,9 @@ def _corner(word: str, points: int, uvs: int) -> tuple[int, int]:
     vertex = _index(int(first), points)
     uv = _index(int(rest.partition("/")[0] or 0), uvs)
     if not 0 <= vertex < points or not _NONE <= uv < uvs:
-        raise ValueError(f"corner {word}, of {points} vertices and {uvs} texture coordinates")
+        raise ValueError(
+            f"corner {word} is not among {points} vertices and {uvs} texture coordinates"
+        )
     return vertex, uv
 
 
@@ -376,7 +378,7 @@ def _decoded(path: Path, entries: Iterable[_Entry]) -> dict[Path, NDArray[np.uin
     named = {picture.path: statement for e in entries for statement, picture in e.pictures.items()}
     if len(named) > MOST_TEXTURES:
         problem = f"name {len(named)} textures"
-        raise InputError(path, "materials", problem, f"{MOST_TEXTURES} at most")
+        raise InputError(path, "materials", problem, f"use at most {MOST_TEXTURES} textures")
     return {
         one: decoded(path, files.read_bytes(one, _MOST_BYTES), f"{statement} {one.name}")
         for one, statement in named.items()

@@ -99,15 +99,15 @@ def checked(path: Path, parts: Sequence[Triangles]) -> list[Triangles]:
     """
     parts = [part for part in parts if len(part)]
     if not parts:
-        raise InputError(path, "mesh", "holds no triangles", "export it with its faces")
+        raise InputError(path, "mesh", "holds no triangles", "export the mesh with its faces")
     for part in parts:
         values = {"vertices": part.corners, "texture coordinates": part.uv, "colours": part.colours}
         if part.glow is not None:
-            values |= {"emission": part.glow.factor, "emission's coordinates": part.glow.uv}
+            values |= {"emission": part.glow.factor, "emission texture coordinates": part.glow.uv}
         for name, found in values.items():
             if found is not None and not np.all(np.abs(found) <= _FARTHEST):  # also NaN
                 problem = f"are not all finite and within {_FARTHEST:g}"
-                raise InputError(path, name, problem, "export it again")
+                raise InputError(path, name, problem, "export the mesh again")
     return parts
 
 
@@ -119,7 +119,7 @@ def require_few(path: Path, triangles: int) -> None:
     """
     if triangles > MOST_TRIANGLES:
         problem = f"has {triangles} triangles"
-        raise InputError(path, "mesh", problem, f"reduce it to {MOST_TRIANGLES}")
+        raise InputError(path, "mesh", problem, f"reduce the mesh to at most {MOST_TRIANGLES}")
 
 
 def named_file(path: Path, name: str, what: str) -> Path:

@@ -72,7 +72,9 @@ def refine(
         ValueError: the evidence is of another track.
     """
     if evidence.track_id != actor.track_id:
-        raise ValueError(f"refine: evidence of track {evidence.track_id}, not {actor.track_id}")
+        raise ValueError(
+            f"refine: evidence is of track {evidence.track_id}, actor of {actor.track_id}"
+        )
     count = len(evidence.sightings)
     if count < LEAST_IMAGES:
         note = f"not refined: {count} usable images, at least {LEAST_IMAGES} are needed"
