@@ -60,7 +60,10 @@ def test_values_are_read_where_asked(folder: Path, capsys: pytest.CaptureFixture
 @pytest.mark.parametrize(
     ("spoil", "message"),
     [
-        (lambda p: p["args"]["models"].update(slat_encoder="../secret"), "leaves the folder"),
+        (
+            lambda p: p["args"]["models"].update(slat_encoder="../secret"),
+            "is not a path inside the folder",
+        ),
         (lambda p: p.update(args=1), "args"),
     ],
 )

@@ -43,13 +43,13 @@ def test_the_size_of_a_file_is_known_before_it_is_written(
 
 def test_every_golden_file_is_read_with_its_names_shapes_and_types() -> None:
     for path in sorted(FOLDER.glob("*.safetensors")):
-        assert path.stat().st_size == file_bytes(read_header(path, "fetch it anew"))
+        assert path.stat().st_size == file_bytes(read_header(path, "download it again"))
 
 
 def test_metadata_is_allowed(tmp_path: Path) -> None:
     path = tmp_path / "x.safetensors"
     path.write_bytes(save(TENSORS, metadata={"format": "pt"}))
-    found = read_header(path, "fetch it anew")
+    found = read_header(path, "download it again")
     assert all(tensor.is_meta for tensor in found.values())
     assert {name: (one.dtype, one.shape) for name, one in found.items()} == {
         name: (one.dtype, one.shape) for name, one in TENSORS.items()
@@ -98,14 +98,14 @@ def test_a_file_that_is_no_whole_safetensors_file(
     path = tmp_path / "x.safetensors"
     path.write_bytes(data)
     with pytest.raises(InputError, match=message) as caught:
-        read_header(path, "fetch it anew")
+        read_header(path, "download it again")
     assert "\n" not in str(caught.value)
 
 
 def test_an_element_type_that_no_network_has(tmp_path: Path) -> None:
     save_file({"a": torch.zeros(2, dtype=torch.float8_e4m3fn)}, tmp_path / "x.safetensors")
     with pytest.raises(InputError, match="a: has an unknown element type"):
-        read_header(tmp_path / "x.safetensors", "fetch it anew")
+        read_header(tmp_path / "x.safetensors", "download it again")
 
 
 def test_a_shape_beyond_all_numbers(tmp_path: Path) -> None:
@@ -113,7 +113,7 @@ def test_a_shape_beyond_all_numbers(tmp_path: Path) -> None:
     path = tmp_path / "x.safetensors"
     path.write_bytes(len(text).to_bytes(8, "little") + text)
     with pytest.raises(InputError):
-        read_header(path, "fetch it anew")
+        read_header(path, "download it again")
 
 
 @given(cut=st.integers(0, 400), flip=st.integers(0, 255))
@@ -125,7 +125,7 @@ def test_damage_is_refused_or_leaves_a_header_within_the_file(cut: int, flip: in
         path = Path(folder) / "x.safetensors"
         path.write_bytes(data)
         try:
-            header = read_header(path, "fetch it anew")
+            header = read_header(path, "download it again")
         except InputError:
             return
         assert sum(tensor.nbytes for tensor in header.values()) < len(data)
@@ -134,4 +134,4 @@ def test_damage_is_refused_or_leaves_a_header_within_the_file(cut: int, flip: in
 @pytest.mark.parametrize("missing", ["no.safetensors", "."])
 def test_a_file_that_cannot_be_opened(tmp_path: Path, missing: str) -> None:
     with pytest.raises(InputError, match="check the folder"):
-        read_header(tmp_path / missing, "fetch it anew")
+        read_header(tmp_path / missing, "download it again")

@@ -113,7 +113,7 @@ def test_an_optional_role_may_be_somewhere_else(folder: Path) -> None:
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        (lambda c: c.update(name="SLatMeshDecoder"), "'SLatMeshDecoder' is no known network"),
+        (lambda c: c.update(name="SLatMeshDecoder"), "'SLatMeshDecoder' is not a known network"),
         (lambda c: c.pop("name"), "name: Field required"),
         (lambda c: c.update(args=[]), "args: "),
         (lambda c: c["args"].update(width=3), "width: Extra inputs"),
@@ -225,8 +225,8 @@ def test_the_published_backbone_is_kept_apart(folder: Path) -> None:
 
 def test_weights_of_an_encoder_that_is_not_used(folder: Path) -> None:
     named = folder / "ckpts/dinov2_tiny.safetensors"
-    with pytest.raises(InputError, match="has one of its own"):
+    with pytest.raises(InputError, match="already has one"):
         load_checkpoint(folder, image_encoder=named)
     edit_json(folder / "pipeline.json", lambda p: p["args"].update(image_cond_model="slat_encoder"))
-    with pytest.raises(InputError, match="SLatEncoder is no image encoder"):
+    with pytest.raises(InputError, match="SLatEncoder is not an image encoder"):
         load_checkpoint(folder)

@@ -110,7 +110,7 @@ def test_what_may_be_absent(folder: Path) -> None:
     notes = {role: check.note for role, check in by_role(checks).items()}
     assert notes["sparse_structure_encoder"] == "absent"
     assert notes["slat_decoder_mesh"] == "not used"
-    assert notes["image encoder"] == "kept apart"
+    assert notes["image encoder"] == "stored elsewhere"
     assert "not used" in printed(checks, folder)
 
 
@@ -120,7 +120,7 @@ def test_faults_of_several_models_are_counted(folder: Path) -> None:
         path.write_bytes(path.read_bytes()[:-8])
     (folder / "ckpts/image_encoder.json").unlink()
     checks = verify_checkpoint(folder)
-    assert "2 more at fault" in str(first_fault(checks))
+    assert "2 more models are at fault" in str(first_fault(checks))
     assert by_role(checks)["slat_flow_model"].error is not None
 
 

@@ -90,7 +90,7 @@ def test_missing_file(tmp_path: Path):
 
 def test_no_picture(tmp_path: Path):
     (tmp_path / "car.png").write_text("no picture")
-    assert "picture: cannot be decoded (it is none of BMP, JPEG, PNG" in _unreadable(
+    assert "image: cannot be decoded (it is none of BMP, JPEG, PNG" in _unreadable(
         tmp_path / "car.png"
     )
 
@@ -104,7 +104,7 @@ def test_picture_cut_short(tmp_path: Path):
     Image.fromarray(noise).save(tmp_path / "car.png")
     data = (tmp_path / "car.png").read_bytes()
     (tmp_path / "car.png").write_bytes(data[: len(data) // 2])
-    assert "picture: cannot be decoded (it is cut short" in _unreadable(tmp_path / "car.png")
+    assert "image: cannot be decoded (it is cut short" in _unreadable(tmp_path / "car.png")
 
 
 def test_picture_of_absurd_size(tmp_path: Path):

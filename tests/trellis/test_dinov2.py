@@ -121,7 +121,7 @@ def test_initial_weights_follow_the_generator():
 
 
 def test_image_that_does_not_divide_into_patches(encoder: Dinov2Encoder):
-    with pytest.raises(ValueError, match="57x56 does not divide into 14"):
+    with pytest.raises(ValueError, match="57x56 does not divide into patches of 14"):
         encoder.encode(torch.zeros(1, 3, 57, 56))
 
 

@@ -235,7 +235,7 @@ def test_file_cut_short(tmp_path: Path, name: str):
 
 def test_other_ending(tmp_path: Path):
     (tmp_path / "a.bin").write_bytes(b"")
-    assert "end in '.bin'" in _refusal(tmp_path / "a.bin")
+    assert "have the unknown suffix '.bin'" in _refusal(tmp_path / "a.bin")
 
 
 @pytest.mark.parametrize("text", ["[]", '{"args": 3}', '{"args": {"depth": 0}}', "{"])

@@ -53,7 +53,7 @@ def test_views_are_encoded_by_vehicle_and_position(model: ImageTo3D) -> None:
 
 
 def test_vehicles_need_equally_many_views(model: ImageTo3D) -> None:
-    with pytest.raises(ValueError, match="views in one batch"):
+    with pytest.raises(ValueError, match="different numbers of views"):
         model.condition([[_disc(50)], [_disc(50), _disc(60)]], ["a", "b"])
 
 

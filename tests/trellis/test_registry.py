@@ -43,7 +43,11 @@ def test_training_names_give_the_same_classes() -> None:
 @pytest.mark.parametrize(
     ("name", "changes", "said"),
     [
-        ("SLatMeshDecoder", {}, "model.json: name: 'SLatMeshDecoder' is no known network; choose"),
+        (
+            "SLatMeshDecoder",
+            {},
+            "model.json: name: 'SLatMeshDecoder' is not a known network; choose",
+        ),
         ("SLatFlowModel", {"patch_size": 4}, "patch_size 4 is not 2 to the number of io_block"),
         ("SLatFlowModel", {"model_chanels": 4}, "model.json: model_chanels: Extra inputs"),
         ("SLatFlowModel", {"num_heads": 5}, "do not divide into 5 heads"),
@@ -76,7 +80,7 @@ def test_sizes_that_no_memory_holds() -> None:
     args |= {"model_channels": 65536, "num_heads": 64}
     with (
         torch.device("meta"),
-        pytest.raises(InputError, match=r"model\.json: args: make no network"),
+        pytest.raises(InputError, match=r"model\.json: args: do not describe a valid network"),
     ):
         build("SparseStructureFlowModel", args, "model.json")
     with torch.device("meta"):

@@ -213,5 +213,5 @@ def test_conditions_that_cannot_be_are_refused() -> None:
         Condition(torch.zeros(0, 1, 2, 3))
     with pytest.raises(ValueError, match="mode"):
         Condition(torch.zeros(1, 1, 2, 3), "random")  # type: ignore[arg-type]
-    with pytest.raises(ValueError, match="2 samples for 3"):
+    with pytest.raises(ValueError, match="2 samples, expected 3"):
         sample(of_condition, noise(3, 4), Condition(torch.zeros(1, 2, 2, 3)), UNGUIDED)

@@ -63,10 +63,12 @@ class FlowMatching:
             ValueError: noise of another shape, or dense data of another number of samples than t.
         """
         if noise.shape != x0.shape:
-            raise ValueError(f"flow matching: noise {tuple(noise.shape)} for {tuple(x0.shape)}")
+            raise ValueError(
+                f"flow matching: noise {tuple(noise.shape)}, expected {tuple(x0.shape)}"
+            )
         rows = t if batch is None else t[batch]
         if len(rows) != len(x0):
-            raise ValueError(f"flow matching: times of {len(rows)} rows for {len(x0)}")
+            raise ValueError(f"flow matching: {len(rows)} times, expected {len(x0)}")
         rows = rows.view(-1, *[1] * (x0.ndim - 1))
         return (1 - rows) * x0 + noise_scale(rows, self.sigma_min) * noise
 
@@ -96,10 +98,12 @@ class FlowMatching:
             ValueError: as `interpolate`, no data at all, or a prediction of another shape than x0.
         """
         if x0.numel() == 0:
-            raise ValueError("flow matching: a batch without data has no loss")
+            raise ValueError("flow matching: the batch is empty")
         predicted = velocity(self.interpolate(x0, noise, t, batch), TIME_SCALE * t, cond)
         if predicted.shape != x0.shape:
-            raise ValueError(f"flow matching: velocity {tuple(predicted.shape)}, expected as x0")
+            raise ValueError(
+                f"flow matching: velocity {tuple(predicted.shape)}, expected {tuple(x0.shape)}"
+            )
         squared = (predicted - self.target(x0, noise)).square()
         by_row = squared.detach().flatten(1).mean(1)
         per_sample = by_row if batch is None else _group_means(by_row, batch, len(t))
@@ -153,7 +157,9 @@ class AdaptiveGradClipper:
 
     def __init__(self, max_norm: float = 1.0, percentile: float = 95.0, window: int = 1000) -> None:
         if not max_norm > 0 or not 0 <= percentile <= 100 or window < 1:
-            raise ValueError(f"gradient clipper: {max_norm=}, {percentile=}, {window=}")
+            raise ValueError(
+                f"gradient clipper: out of range: {max_norm=}, {percentile=}, {window=}"
+            )
         self.max_norm = max_norm
         self.percentile = percentile
         self.window = window

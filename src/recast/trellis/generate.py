@@ -117,7 +117,9 @@ class ImageTo3D:
         """Encode the views of vehicles: tokens (V, B, L, C)."""
         counts = {len(views) for views in vehicles}
         if len(counts) != 1 or 0 in counts:
-            raise ValueError(f"condition: vehicles with {sorted(counts)} views in one batch")
+            raise ValueError(
+                f"condition: vehicles of a batch have different numbers of views: {sorted(counts)}"
+            )
         crops = [
             crop_to_object(view, self.encoder.image_size, where=name)
             for name, views in zip(names, vehicles, strict=True)

@@ -55,7 +55,7 @@ class Condition:
         if self.views.ndim != 4 or len(self.views) == 0:
             raise ValueError(f"condition: views {tuple(self.views.shape)}, expected (V, B, L, C)")
         if self.mode not in ("stochastic", "multidiffusion"):
-            raise ValueError(f"condition: mode {self.mode!r}, no stochastic or multidiffusion")
+            raise ValueError(f"condition: mode {self.mode!r} is not stochastic or multidiffusion")
 
     def for_samples(self, samples: int) -> Tensor:
         """The views (V, samples, L, C); tokens that serve all samples are not copied.
@@ -65,7 +65,7 @@ class Condition:
         """
         count = self.views.shape[1]
         if count not in (1, samples):
-            raise ValueError(f"condition: tokens of {count} samples for {samples}")
+            raise ValueError(f"condition: tokens of {count} samples, expected {samples}")
         return self.views.expand(-1, samples, -1, -1)
 
     def used_in(self, step: int) -> tuple[int, ...]:

@@ -66,7 +66,7 @@ def check_agreement(
     for what, members in _facts(record, models, encoder).items():
         if len(set(members.values())) > 1:
             listed = ", ".join(f"{value} of {name}" for name, value in members.items())
-            raise InputError(where, what, f"differ ({listed})", "take all models from one training")
+            raise InputError(where, what, f"differ ({listed})", "use models of one training run")
 
 
 def _facts(
@@ -130,20 +130,23 @@ def load_image_encoder(
             raise InputError(
                 path,
                 "image encoder",
-                f"the weights of {PUBLISHED_BACKBONE} are not there",
-                "name their file or folder with `image_encoder`, or put them there",
+                f"the weights of {PUBLISHED_BACKBONE} are missing",
+                "give their file or folder with `image_encoder`, or put them there",
             )
         return load_dinov2(path).to(device).eval()
     if named is not None:
         raise InputError(
-            named, "image encoder", f"{folder} has one of its own ({role})", "do not name one"
+            named,
+            "image encoder",
+            f"{folder} already has one ({role})",
+            "leave `image_encoder` out",
         )
     encoder = models[role]
     if not isinstance(encoder, ImageEncoder):
         raise InputError(
             folder / PIPELINE_FILE,
             "args.image_cond_model",
-            f"names {role}, and {encoder.published_name} is no image encoder",
+            f"names {role}, but {encoder.published_name} is not an image encoder",
             "name the role of an image encoder",
         )
     return encoder
@@ -244,7 +247,7 @@ def _fill(
         torso_dtype = torch.float32
     if torso_dtype is not None:
         model.set_torso_dtype(torso_dtype)
-    tensors = read_safetensors(files.weights, "file", "fetch it anew")[0]
+    tensors = read_safetensors(files.weights, "file", "download it again")[0]
     model.to_empty(device=device)
     model.load_published(tensors)
     model.eval()
@@ -253,7 +256,7 @@ def _fill(
             problem = "holds NaN or infinite values"
             if bool(torch.isfinite(tensors[name]).all()):
                 problem = f"exceeds the range of {loaded.dtype}, to which it was converted"
-            raise InputError(files.weights, name, problem, "fetch or write the file anew")
+            raise InputError(files.weights, name, problem, "download or write the file again")
 
 
 def export_model(folder: str | Path, out: str | Path) -> None:

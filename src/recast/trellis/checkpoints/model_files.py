@@ -55,7 +55,7 @@ MODEL_CLASSES |= {
     for model in (SLatFlowModel, SLatEncoder, SLatGaussianDecoder)
 }
 
-_MEND = "fetch or write the file anew"
+_MEND = "download or write the file again"
 
 
 def build(name: str, args: Any, where: str | Path) -> TrellisModel:
@@ -72,7 +72,9 @@ def build(name: str, args: Any, where: str | Path) -> TrellisModel:
     """
     if name not in MODEL_CLASSES:
         known = ", ".join(sorted(one for one in MODEL_CLASSES if not one.startswith("Elastic")))
-        raise InputError(where, "name", f"{name!r} is no known network", f"choose one of {known}")
+        raise InputError(
+            where, "name", f"{name!r} is not a known network", f"choose one of {known}"
+        )
     chosen = MODEL_CLASSES[name]
     mend = f"give the arguments of {chosen.published_name}"
     try:
@@ -81,7 +83,9 @@ def build(name: str, args: Any, where: str | Path) -> TrellisModel:
         raise validation_error(where, error, mend) from None
     except (RuntimeError, ValueError, TypeError, OverflowError) as error:  # of torch's layers
         reason = str(error).partition("\n")[0]
-        raise InputError(where, "args", f"make no network ({reason})", mend) from None
+        raise InputError(
+            where, "args", f"do not describe a valid network ({reason})", mend
+        ) from None
 
 
 def file_bytes(tensors: Mapping[str, Tensor]) -> int:
@@ -263,7 +267,7 @@ def save_checkpoint(
     stems = [record.models[role] for role in models]
     if len(set(stems)) != len(stems):
         raise InputError(
-            PIPELINE_FILE, "models", "name the same path twice", "give each role its own"
+            PIPELINE_FILE, "models", "name the same path twice", "give each role its own path"
         )
     with atomic_folder(folder) as partial:
         write_pipeline(partial, record)

@@ -42,7 +42,7 @@ IMAGE_ENCODER = "image_encoder"
 PUBLISHED_BACKBONE = "dinov2_vitl14_reg"
 """`image_cond_model` of the published checkpoints: DINOv2 ViT-L/14 with registers, kept apart."""
 PIPELINE_FILE = "pipeline.json"
-_MEND = "fetch the file anew, or correct it"
+_MEND = "download the file again, or correct it"
 
 
 class _Member(BaseModel):
@@ -54,9 +54,9 @@ class _Member(BaseModel):
 def _inside(path: str) -> str:
     parts = PurePosixPath(path).parts
     if not parts or path.startswith(("/", "~")) or ".." in parts or not path.isprintable():
-        raise PydanticCustomError("path", "leaves the folder or is no path")
+        raise PydanticCustomError("path", "is not a path inside the folder")
     if "\\" in path or ":" in path:
-        raise PydanticCustomError("path", "is no path with forward slashes")
+        raise PydanticCustomError("path", "is not a path with forward slashes")
     return path
 
 
@@ -67,7 +67,7 @@ def _sampler(value: Any) -> SamplerSettings:
     if isinstance(value, SamplerSettings):
         return value
     if not isinstance(value, Mapping):
-        raise PydanticCustomError("sampler", "is no object")
+        raise PydanticCustomError("sampler", "is not an object")
     try:
         return SamplerSettings.from_published(value, "sampler")
     except InputError as error:

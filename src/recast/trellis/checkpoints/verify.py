@@ -58,7 +58,7 @@ def verify_checkpoint(folder: str | Path, *, values: bool = False) -> list[Model
             checks.append(ModelCheck(role, path, note="not used"))
     if encoder_role is None:
         path = folder / BACKBONE_FOLDER
-        note = "not checked" if path.exists() else "kept apart"
+        note = "not checked" if path.exists() else "stored elsewhere"
         checks.append(ModelCheck("image encoder", path, PUBLISHED_BACKBONE, note=note))
     encoder = models.get(encoder_role or "")
     try:
@@ -75,7 +75,7 @@ def first_fault(checks: Sequence[ModelCheck]) -> InputError | None:
     if len(faults) < 2:
         return faults[0] if faults else None
     first = faults[0]
-    more = f"{first.problem}; {len(faults) - 1} more at fault"
+    more = f"{first.problem}; {len(faults) - 1} more models are at fault"
     return InputError(first.where, first.field, more, first.mend)
 
 
@@ -141,7 +141,7 @@ def _check(
         check = files.check(models[role])
         if values:
             return dataclasses.replace(
-                check, found=read_safetensors(path, "file", "fetch it anew")[0]
+                check, found=read_safetensors(path, "file", "download it again")[0]
             )
         return check
     except InputError as error:

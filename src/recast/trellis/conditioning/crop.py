@@ -25,9 +25,7 @@ OPAQUE = 204
 SMALLEST = 8
 """Pixels of an object's longer side below which there is nothing to generate from."""
 
-_SEGMENT = (
-    "cut the object out (a mask as alpha, PNG), or let `recast actor make` cut it out of a log"
-)
+_SEGMENT = "cut the object out (PNG with an alpha mask), or let `recast actor make` do it from logs"
 MARGIN = 1.2
 """Side of the square crop over the longer side of the object's box."""
 
@@ -45,7 +43,7 @@ def read_crop(path: str | Path) -> Image:
         InputError: missing, unreadable or cut short, without alpha, or refused by `check_crop`.
     """
     path = Path(path)
-    levels = decode_image(path, path, (*FORMATS, "GIF"), what="picture")
+    levels = decode_image(path, path, (*FORMATS, "GIF"))
     if levels.shape[2:] != (4,):
         raise InputError(path, "alpha", "is absent", _SEGMENT)
     rgba = eight_bits(levels)
@@ -71,7 +69,7 @@ def check_crop(rgba: Image, where: str | Path) -> None:
     strongest = int(alpha.max(initial=0))
     if strongest == 0:
         raise InputError(
-            where, "alpha", "is zero everywhere: the picture shows nothing", "check the mask"
+            where, "alpha", "is zero everywhere: the image shows nothing", "check the mask"
         )
     if strongest <= OPAQUE:
         problem = f"never exceeds 0.8 (largest {strongest / 255:.2f}): no object stands out"
@@ -85,7 +83,7 @@ def check_crop(rgba: Image, where: str | Path) -> None:
             where,
             "object",
             f"is {width}x{height} pixels, at least {SMALLEST} are needed",
-            "take a closer view, or clean the mask",
+            "use a closer view, or clean the mask",
         )
 
 

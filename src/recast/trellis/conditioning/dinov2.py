@@ -213,7 +213,9 @@ class Dinov2Encoder(TrellisModel):
         height, width = images.shape[-2:]
         patch = self.config.patch_size
         if height % patch or width % patch:
-            raise ValueError(f"an image of {height}x{width} does not divide into {patch} pixels")
+            raise ValueError(
+                f"an image of {height}x{width} does not divide into patches of {patch} pixels"
+            )
         # Not the model's own output: that has passed the final norm, with its learnt weights.
         embedded = self.backbone.embeddings(normalise(images))
         return cast(Tensor, self.backbone.encoder(embedded).last_hidden_state)
@@ -240,5 +242,5 @@ class Dinov2Encoder(TrellisModel):
         own = self.backbone.state_dict()
         faults = state_faults(state, to_hub({n: tensor.to("meta") for n, tensor in own.items()}))
         if any(faults.values()):
-            raise RuntimeError(f"other tensors than those of this network: {faults}")
+            raise RuntimeError(f"tensors do not match this network: {faults}")
         self.backbone.load_state_dict(from_hub(state, own), strict=True)

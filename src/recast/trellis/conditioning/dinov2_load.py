@@ -21,7 +21,7 @@ _HEAD_CHANNELS = 64
 
 _WEIGHTS = "DINOv2 weights"
 _MEND = (
-    "take torch hub's dinov2_vitl14_reg4_pretrain.pth or the folder of "
+    "use torch hub's dinov2_vitl14_reg4_pretrain.pth or the folder of "
     "facebook/dinov2-with-registers-large"
 )
 
@@ -50,7 +50,7 @@ def load_dinov2(path: str | Path, config: Dinov2Config | None = None) -> Dinov2E
         path = path / "model.safetensors"
     else:
         if path.is_file() and path.suffix not in (".pth", ".pt", ".safetensors"):
-            raise InputError(path, _WEIGHTS, f"end in {path.suffix!r}", _MEND)
+            raise InputError(path, _WEIGHTS, f"have the unknown suffix {path.suffix!r}", _MEND)
         state = read_tensors(path, _WEIGHTS, _MEND)
         told = config or _config_beside(path) or config_from_shapes(state, path)
     # On the meta device nothing is drawn that the file would replace.

@@ -51,7 +51,7 @@ class SparseTensor:
         """
         if not coords or len(coords) != len(feats):
             found = f"{len(coords)} coordinate sets, {len(feats)} feature sets"
-            raise InputError(_WHERE, "samples", found, "give one of each per sample, at least one")
+            raise InputError(_WHERE, "samples", found, "give one of each for every sample")
         rows = [
             torch.nn.functional.pad(c.to(torch.int32), (1, 0), value=i)
             for i, c in enumerate(coords)
@@ -138,11 +138,11 @@ def sorted_keys(keys: Tensor) -> tuple[Tensor, Tensor]:
     """Keys (T,) in ascending order and the rows (T,) they come from.
 
     Raises:
-        InputError: a voxel stands twice in a sample.
+        InputError: a sample holds a voxel twice.
     """
     ordered, rows = keys.sort()
     if bool((ordered[1:] == ordered[:-1]).any()):
-        found = "a voxel stands twice in a sample"
+        found = "a sample holds a voxel twice"
         raise InputError(_WHERE, "coords", found, "give every voxel once")
     return ordered, rows
 

@@ -234,7 +234,7 @@ def _pool_index(x: SparseTensor, factor: int) -> PoolIndex:
         children = parent.new_full((factor**3, len(counts)), len(parent))
         children[place, parent] = rows
         if not torch.equal(children[place, parent], rows):
-            found = "a voxel stands twice in a sample"
+            found = "a sample holds a voxel twice"
             raise InputError("sparse tensor", "coords", found, "give every voxel once")
         first = children.amin(0)
         empty = x.feats.new_empty
