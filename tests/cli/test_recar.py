@@ -43,7 +43,7 @@ def test_make_a_set_count_it_and_draw_it(
         (("-3",), "--vehicles: value: is -3"),
         (("1", "--width", "0"), "--width: value: is 0"),
         (("1", "--workers", "-1"), "--workers: value: is -1"),
-        (("1", "--kinds", "boat"), "--kinds: boat: is unknown; choose of hatchback"),
+        (("1", "--kinds", "boat"), "--kinds: boat: is unknown; choose from hatchback"),
         (("1", "--mesh", "nowhere.obj"), "nowhere.obj: mesh: is missing"),
     ],
 )

@@ -194,7 +194,7 @@ def test_a_bad_vehicle_is_listed_and_skipped_only_where_allowed(
     assert out.exists() == late
     if late:
         assert sorted(p.name for p in out.iterdir() if p.is_dir()) == [".ingest", "car-0", "car-2"]
-        with pytest.raises(InputError, match="still in the making"):
+        with pytest.raises(InputError, match="is not complete"):
             read_set(out)
     report = ingest(photos, out, skip_bad=True)
     assert list(report.vehicle_set.identities) == ["car-0", "car-2"]
@@ -296,7 +296,7 @@ def test_none_is_good(tmp_path: Path) -> None:
         ("id,kind,paint\ncar-0,van,red\n", "heading: 'paint' is no column"),
         ("id\ncar-0\n", "heading: id and kind are needed"),
         ("id,kind\ncar-0,van\ncar-0,van\n", "car-0 .*has 2 rows"),
-        ("id,kind\n../car,van\n", "id: Value error, an identity"),
+        ("id,kind\n../car,van\n", "id: Value error, expected at most 100"),
         ("id,kind\ncar-0,van,red\n", "more cells than columns"),
         ("id,kind,kind\ncar-0,van,van\n", "heading: names a column twice"),
         (f"id,kind\ncar-0,{'v' * 140_000}\n", "line 2: field larger than field limit"),
@@ -327,7 +327,7 @@ def test_a_folder_of_something_else_is_refused(tmp_path: Path) -> None:
     photos = write_photos(tmp_path / "photos", 1)
     (tmp_path / "notes").mkdir()
     (tmp_path / "notes" / "mine.txt").write_text("mine")
-    with pytest.raises(InputError, match="exists and is no vehicle set"):
+    with pytest.raises(InputError, match="exists and is not a vehicle set"):
         ingest(photos, tmp_path / "notes")
     ingest(photos, tmp_path / "set")
     with pytest.raises(InputError, match="width: differs"):

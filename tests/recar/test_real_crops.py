@@ -121,7 +121,7 @@ def no_camera(folder: Path) -> None:
         (record_change("cam_fovs", None), r"cam_fovs: Field required"),
         (no_mask, r"mask_01.png: file: is missing"),
         (small_mask, r"mask_01.png: size: is 20x96, frame_01.png 96x96"),
-        (cut_short, r"frame_00.png: picture: cannot be decoded"),
+        (cut_short, r"frame_00.png: image: cannot be decoded"),
         (no_camera, r"camera.json: file: is missing"),
     ],
 )
@@ -140,7 +140,7 @@ def test_an_empty_mask_and_an_empty_folder_are_refused(crops: Path, tmp_path: Pa
     (tmp_path / "empty").mkdir()
     with pytest.raises(InputError, match="holds no ID/input_views"):
         read_real_crops(tmp_path / "empty")
-    with pytest.raises(InputError, match="is no folder"):
+    with pytest.raises(InputError, match="is not a folder"):
         read_real_crops(tmp_path / "nowhere")
 
 

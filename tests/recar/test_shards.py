@@ -100,7 +100,7 @@ def test_it_is_used_as_a_set_in_folders(folders: VehicleSet, packed: ShardedSet)
     chosen = [[one.record.id for one in representatives(s, 3)] for s in (packed, folders)]
     assert chosen[0] == chosen[1]
     assert view_sheet(representatives(packed, 2), [0, 1]).shape[2] == 3
-    with pytest.raises(IndexError, match="view 4: car-3 has 0 to 3"):
+    with pytest.raises(IndexError, match="view 4: car-3 has views 0 to 3"):
         one.view(4)
     with pytest.raises(IndexError, match="view -1"):
         one.encoded(-1)
@@ -144,7 +144,7 @@ def test_a_killed_run_goes_on(folders: VehicleSet, packed: ShardedSet, shards: P
     (shards / "shard-000002.members.json").unlink()
     (shards / ".shard-000001.tar.partial").write_bytes(b"cut")
     kept = (shards / "shard-000000.tar").stat().st_mtime_ns
-    with pytest.raises(InputError, match="still in the making"):
+    with pytest.raises(InputError, match="are not complete"):
         read_shards(shards)
     steps: list[tuple[int, int]] = []
     pack_set(folders, shards, SMALL, lambda *step: steps.append(step))
@@ -181,7 +181,7 @@ def test_other_shards_are_never_written_over(
 def test_a_broken_picture_is_named_and_not_packed(tmp_path: Path) -> None:
     made = write_set(tmp_path / "set")
     (tmp_path / "set" / "car-2" / "view_03.png").write_bytes(b"text")
-    with pytest.raises(InputError, match=r"car-2/view_03\.png: view: is no PNG"):
+    with pytest.raises(InputError, match=r"car-2/view_03\.png: view: is not a PNG file"):
         pack_set(made, tmp_path / "out")
     assert not list((tmp_path / "out").glob("*.tar"))
 
@@ -302,7 +302,7 @@ def test_a_list_of_members_missing_or_changed(shards: Path) -> None:
         ("offset", 10**400, "offset: "),
         ("size", 10**12, "has 1000000000000 bytes"),
         ("size", 7, "is damaged"),
-        ("name", "../../etc/passwd", "has not a record and"),
+        ("name", "../../etc/passwd", "does not have a record and"),
     ],
 )
 def test_places_of_members_that_the_layout_does_not_give(
@@ -342,7 +342,7 @@ def edit_index(shards: Path, change: str) -> None:
     [
         ("both splits", r"car-\d: is in both splits: in shard-000000\.tar \(train\) and shard-0"),
         ("twice", r"car-\d: is packed twice: in shard-000000\.tar"),
-        ("count", "identities: 7 in the shards, 99 counted"),
+        ("count", "identities: 7 in the shards, 99 in index.json"),
         ("no format", "format: is None"),
         ("outside", r"shards\.0\.file"),
     ],

@@ -31,7 +31,7 @@ def test_the_table_says_it_in_words(tmp_path: Path) -> None:
     printer.print(statistics_table(made, set_statistics(made)))
     text = printer.export_text()
     assert "2 train, 1 held out" in text
-    assert "4 an identity, 48x32, 12 pictures" in text
+    assert "4 per identity, 48x32, 12 images" in text
     assert "sedan" in text
     assert "66.7 %" in text
     assert "4.60 m median, 4.50 to 4.70" in text

@@ -116,7 +116,7 @@ def test_the_silhouette_is_where_the_camera_says(block: Path, tmp_path: Path) ->
 
 def test_other_axes_are_another_identity(block: Path, tmp_path: Path) -> None:
     synthesize_set(tmp_path / "set", 0, TINY, meshes=[block])
-    with pytest.raises(InputError, match="not among the 1 asked for"):
+    with pytest.raises(InputError, match="not among the 1 requested"):
         synthesize_set(tmp_path / "set", 0, TINY, meshes=[block], mesh_axes="-z,y")
     with pytest.raises(InputError, match="`mesh_axes`"):
         synthesize_set(tmp_path / "set", 0, TINY, meshes=[block], mesh_axes="z")
@@ -128,7 +128,7 @@ def test_a_mesh_is_checked_before_any_work(block: Path, tmp_path: Path) -> None:
     mesh.export(tmp_path / "open.glb")
     with pytest.raises(InputError, match="watertight"):
         synthesize_set(tmp_path / "set", 1, TINY, meshes=[block, tmp_path / "open.glb"])
-    with pytest.raises(InputError, match="named twice"):
+    with pytest.raises(InputError, match="given twice"):
         synthesize_set(tmp_path / "set", 1, TINY, meshes=[block, block])
     with pytest.raises(InputError, match="is missing"):
         synthesize_set(tmp_path / "set", 1, TINY, meshes=[tmp_path / "none.glb"])

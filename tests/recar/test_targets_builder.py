@@ -101,7 +101,7 @@ def test_other_settings_or_another_folder_are_refused(
     with pytest.raises(InputError, match="model: differs"):
         build_targets(places[0], ModelSource(other), built.folder, SETTINGS)
     assert tree(built.folder) == before
-    with pytest.raises(InputError, match="is no target cache"):
+    with pytest.raises(InputError, match="is not a target cache"):
         build_targets(*places, other, SETTINGS)
     with pytest.raises(InputError, match="car-9: is not in the set"):
         build_targets(*places, tmp_path / "new", SETTINGS, identities=["car-9"])

@@ -268,7 +268,7 @@ def test_a_wrong_predictor_is_a_clear_line(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="NaN"):
         load_predictor(path)
     write_predictor(path, {"more": torch.zeros(1)})
-    with pytest.raises(InputError, match="another network"):
+    with pytest.raises(InputError, match="does not hold the expected network"):
         load_predictor(path)
 
 

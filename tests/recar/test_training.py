@@ -170,14 +170,14 @@ def test_a_constant_schedule_may_go_on_longer_and_write_more_often(tmp_path: Pat
     whole = train(Line(), long, tmp_path / "b")
     for found, expected in zip(weights(resumed), weights(whole), strict=True):
         assert torch.equal(found, expected)
-    with pytest.raises(InputError, match="23 are done, 11 were asked for"):
+    with pytest.raises(InputError, match="23 are done, but 11 are requested"):
         train(Line(), short, tmp_path / "a")
 
 
 def test_another_network_is_refused(whole: Path) -> None:
     task = Line()
     task.network = nn.Sequential(nn.Linear(3, 9), nn.Tanh(), nn.Linear(9, 1))
-    with pytest.raises(InputError, match="of other networks"):
+    with pytest.raises(InputError, match="belong to another network"):
         train(task, SETTINGS, whole)
 
 
@@ -185,7 +185,7 @@ def test_steps_without_finite_loss_change_nothing_and_then_end_the_training(
     tmp_path: Path,
 ) -> None:
     settings = SETTINGS.model_copy(update={"steps": 100, "checkpoint_every": 1})
-    with pytest.raises(InputError, match="step 27: the loss is not finite any more"):
+    with pytest.raises(InputError, match="step 27: the loss is no longer finite"):
         train(Line(bad_from=8), settings, tmp_path)
     good = train(
         Line(), settings.model_copy(update={"schedule": "constant", "steps": 8}), tmp_path / "good"

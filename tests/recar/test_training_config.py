@@ -71,10 +71,10 @@ def test_a_file_changes_a_preset_member_by_member(tmp_path: Path) -> None:
         ({"preset": "stage-1", "structure": {"ema_decay": None}}, "ema_decay is null"),
         (
             {"preset": "base", "structure": None, "train_encoder": True},
-            "the encoder trains with the structure flow",
+            "the encoder can only train with the structure flow",
         ),
         ({"name": "x"}, "structure: Field required"),
-        ([1], "is no object"),
+        ([1], "is not an object"),
     ],
 )
 def test_a_wrong_file_is_refused(values: object, match: str, tmp_path: Path) -> None:

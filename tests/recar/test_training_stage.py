@@ -195,7 +195,7 @@ def test_inputs_that_do_not_belong_together_are_refused(stage: TinyStage, tmp_pa
     write_json(renamed / "records" / "van.json", read_json(one) | {"id": "van"})
     (renamed / "records" / "car-0.json").unlink()
     changed = TinyStage(stage.model, renamed, stage.pictures)
-    refused("1 vehicles with a target have none: van", changed.request(out))
+    refused("1 vehicles with a target have no images: van", changed.request(out))
 
     larger = shutil.copytree(stage.targets, tmp_path / "larger")
     record = read_json(larger / "cache.json")
@@ -205,8 +205,8 @@ def test_inputs_that_do_not_belong_together_are_refused(stage: TinyStage, tmp_pa
     refused("resolution: of the targets is", changed.request(out))
 
     changed = TinyStage(stage.model, stage.targets, tmp_path)
-    refused("pictures: no set.json", changed.request(out))
-    with pytest.raises(ValueError, match="a batch of 2 accumulated in 3 parts"):
+    refused("pictures: the folder holds no set.json", changed.request(out))
+    with pytest.raises(ValueError, match="a batch of 2 does not split into 3 parts"):
         stage.request(out, structure={"accumulate": 3})
 
 
@@ -215,10 +215,10 @@ def test_another_training_or_a_foreign_folder_is_refused(
 ) -> None:
     with pytest.raises(InputError, match=r"training\.json: inputs\.config: differs"):
         train_stage(stage.request(whole, weights="raw"), console=QUIET)
-    with pytest.raises(InputError, match="settings: differ from those asked for \\(lr\\)"):
+    with pytest.raises(InputError, match="settings: differ from the requested ones \\(lr\\)"):
         train_stage(stage.request(whole, structure={"lr": 2e-3}), console=QUIET)
     (tmp_path / "thesis.tex").write_text("years of work")
-    with pytest.raises(InputError, match="holds something else"):
+    with pytest.raises(InputError, match="holds other files"):
         train_stage(stage.request(tmp_path), console=QUIET)
 
 

@@ -76,7 +76,7 @@ FAULTS: dict[str, tuple[Callable[[Path], object], str]] = {
     "no alpha": (lambda f: spoil_png(f, image=FULL[..., :3]), "view_02.png: alpha: is absent"),
     "grey": (lambda f: spoil_png(f, image=FULL[..., 0]), "view_02.png: alpha: is absent"),
     "transparent": (lambda f: spoil_png(f, image=FULL * [1, 1, 1, 0]), "alpha: is zero everywhere"),
-    "no PNG": (lambda f: (f / "car-1/view_02.png").write_bytes(b"GIF89a" * 9), "is no PNG"),
+    "no PNG": (lambda f: (f / "car-1/view_02.png").write_bytes(b"GIF89a" * 9), "is not a PNG file"),
     "cut short": (
         lambda f: (f / "car-1/view_02.png").write_bytes(
             (f / "car-1/view_02.png").read_bytes()[:60]
@@ -95,11 +95,11 @@ FAULTS: dict[str, tuple[Callable[[Path], object], str]] = {
     "format": (lambda f: edit(f / "set.json", format="log"), "format: is 'log'"),
     "irregular": (
         lambda f: edit(f / "set.json", azimuths_deg=[0, 90, 180, 271]),
-        "azimuths_deg: Value error, azimuths are not regular: view 3 at 271 degrees where 270",
+        "azimuths_deg: Value error, azimuths are not regular: view 3 at 271 degrees, expected 270",
     ),
     "clockwise": (lambda f: edit(f / "set.json", azimuths_deg=[0, 270, 180, 90]), "not regular"),
-    "in the making": (lambda f: edit(f / "set.json", complete=False), "still in the making"),
-    "identity lost": (lambda f: shutil.rmtree(f / "car-2"), "2 folders where set.json says 3"),
+    "in the making": (lambda f: edit(f / "set.json", complete=False), "is not complete"),
+    "identity lost": (lambda f: shutil.rmtree(f / "car-2"), "2 folders, but set.json counts 3"),
     "no set.json": (lambda f: (f / "set.json").unlink(), "set.json: file: is missing"),
     "no folder": (shutil.rmtree, "vehicle set: is missing"),
 }

@@ -18,7 +18,7 @@ def test_a_set_in_the_making_is_marked_and_goes_on(tmp_path: Path) -> None:
     write_identity(tmp_path / "set", record, identity_record(0), pictures(0))
     (tmp_path / "set" / ".car-1.partial").mkdir()
     (tmp_path / "set" / ".car-1.partial" / "view_00.png").write_bytes(b"cut")
-    with pytest.raises(InputError, match="still in the making"):
+    with pytest.raises(InputError, match="is not complete"):
         read_set(tmp_path / "set")
     assert begin_set(tmp_path / "set", record, IDS) == {"car-0"}
     for index in (1, 2):
@@ -64,15 +64,15 @@ def test_settings_of_the_generator_are_named(tmp_path: Path) -> None:
 
 def test_fewer_identities_are_refused(tmp_path: Path) -> None:
     write_set(tmp_path)
-    with pytest.raises(InputError, match="car-2: lies there but is not among the 2 asked for"):
+    with pytest.raises(InputError, match="car-2: is in the folder but not among the 2 requested"):
         begin_set(tmp_path, set_record(2), IDS[:2])
 
 
 def test_a_folder_of_something_else_is_refused(tmp_path: Path) -> None:
     (tmp_path / "notes.txt").write_text("mine")
-    with pytest.raises(InputError, match="exists and is no vehicle set"):
+    with pytest.raises(InputError, match="exists and is not a vehicle set"):
         begin_set(tmp_path, set_record(), IDS)
-    with pytest.raises(InputError, match="exists and is no vehicle set"):
+    with pytest.raises(InputError, match="exists and is not a vehicle set"):
         begin_set(tmp_path / "notes.txt", set_record(), IDS)
     assert [path.name for path in tmp_path.iterdir()] == ["notes.txt"]
 

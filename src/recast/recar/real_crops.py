@@ -77,7 +77,7 @@ class RealView:
         """
         colour, alpha = _decode(self.image, self.mask)
         if not np.any(alpha > 127):
-            raise InputError(self.mask, "mask", "is empty", "mark the vehicle by 255")
+            raise InputError(self.mask, "mask", "is empty", "mark the vehicle with 255")
         return np.dstack([colour, np.where(alpha > 127, np.uint8(255), np.uint8(0))])
 
 
@@ -115,7 +115,7 @@ def read_real_crops(folder: str | Path) -> tuple[RealVehicle, ...]:
     """
     folder = Path(folder)
     if not folder.is_dir():
-        raise InputError(folder, "vehicle crops", "is no folder", "check the path")
+        raise InputError(folder, "vehicle crops", "is not a folder", "check the path")
     found = _vehicle_folders(folder)
     if not found:
         raise InputError(folder, "vehicle crops", f"holds no ID/{INPUT_VIEWS}/{CAMERA_FILE}", _MEND)
@@ -135,8 +135,8 @@ def _read_vehicle(folder: Path) -> RealVehicle:
         raise InputError(
             folder / RESERVED_VIEWS / CAMERA_FILE,
             "object_lwh",
-            f"is {_metres(reserved_size)} where the input views have {_metres(size)}",
-            "both describe one vehicle",
+            f"is {_metres(reserved_size)}, but {_metres(size)} in the input views",
+            "give both the same size",
         )
     return RealVehicle(folder.resolve().name, size, inputs, reserved)
 
@@ -174,7 +174,7 @@ def _read_view(path: Path, record: _CameraRecord, index: int) -> RealView:
             path,
             f"normalized_cam_positions.{index}",
             f"has length {length:.4g}",
-            "divide it by its length and put that into cam_dists",
+            "normalise it, and put its length into cam_dists",
         )
     names = record.frame_filenames[index], record.mask_filenames[index]
     image = member(path.parent, names[0], path, f"frame_filenames.{index}")
@@ -193,6 +193,6 @@ def _read_view(path: Path, record: _CameraRecord, index: int) -> RealView:
 def _decode(image: Path, mask: Path) -> tuple[Image, Image]:
     """Colours (H, W, 3) and the mask (H, W) of a picture, upright."""
     mend = "save it again as JPEG or PNG"
-    colours = rgb(decode_image(image, image, most_pixels=MOST_PIXELS, what="picture", mend=mend))
+    colours = rgb(decode_image(image, image, most_pixels=MOST_PIXELS, mend=mend))
     size = colours.shape[1], colours.shape[0]
     return colours, decode_mask(mask, mask, size, image.name, most_pixels=MOST_PIXELS, mend=mend)

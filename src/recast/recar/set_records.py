@@ -40,8 +40,8 @@ def _check_regular(azimuths: tuple[float, ...]) -> tuple[float, ...]:
         error = (azimuth - azimuths[0] - i * step + 180.0) % 360.0 - 180.0
         if not 0.0 <= azimuth < 360.0 or abs(error) > REGULAR_WITHIN_DEG:
             raise ValueError(
-                f"azimuths are not regular: view {i} at {azimuth:g} degrees where "
-                f"{(azimuths[0] + i * step) % 360.0:g} is expected"
+                f"azimuths are not regular: view {i} at {azimuth:g} degrees, expected "
+                f"{(azimuths[0] + i * step) % 360.0:g}"
             )
     return azimuths
 
@@ -54,8 +54,8 @@ def is_identity_name(name: str) -> bool:
 def _check_identity_name(name: str) -> str:
     if not is_identity_name(name):
         raise ValueError(
-            "an identity is named by letters, digits, '.', '_' and '-', at most 100, the first "
-            "one a letter or digit"
+            "expected at most 100 letters, digits, '.', '_' and '-', beginning with a letter "
+            "or digit"
         )
     return name
 

@@ -80,8 +80,8 @@ def statistics_table(vehicle_set: VehicleSource, statistics: SetStatistics) -> G
         ("split", f"{statistics.splits['train']:,} train, {held_out:,} held out"),
         (
             "views",
-            f"{record.views} an identity, {record.width}x{record.height}, "
-            f"{statistics.pictures:,} pictures, {statistics.bytes / 1e6:,.1f} MB",
+            f"{record.views} per identity, {record.width}x{record.height}, "
+            f"{statistics.pictures:,} images, {statistics.bytes / 1e6:,.1f} MB",
         ),
         ("camera", f"elevation {_degrees(record.elevation_deg)}, fov {_degrees(record.fov_deg)}"),
     ]

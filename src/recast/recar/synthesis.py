@@ -83,11 +83,11 @@ class SynthesisSettings:
                 raise InputError(option, "value", f"is {pixels}", f"give 16 to {LARGEST_SIDE}")
         for kind in self.kinds:
             if kind not in KINDS:
-                raise InputError("`kinds`", kind, "is unknown", f"choose of {', '.join(KINDS)}")
+                raise InputError("`kinds`", kind, "is unknown", f"choose from {', '.join(KINDS)}")
         if not 0 <= self.held_out <= 1:
             raise InputError("`held_out`", "value", f"is {self.held_out}", "give 0 to 1")
         if not self.licence.strip():
-            raise InputError("`licence`", "value", "is empty", "name the licence of the pictures")
+            raise InputError("`licence`", "value", "is empty", "name the licence of the images")
 
     def record(self, name: str, identities: int) -> SetRecord:
         """The record of the finished set."""
@@ -150,7 +150,9 @@ def plan_identities(
         if count < 0:
             raise InputError(option, "value", f"is {count}", "give 0 or more")
     if vehicles + shapes + len(meshes) == 0:
-        raise InputError("`vehicles`", "value", "is 0 with nothing else asked", "give 1 or more")
+        raise InputError(
+            "`vehicles`", "value", "is 0, and no shapes or meshes are requested", "give 1 or more"
+        )
     plan = [_planned(settings, "vehicle", i, f"vehicle-{i:05d}", i) for i in range(vehicles)]
     plan += [_planned(settings, "shape", i, f"shape-{i:05d}", i) for i in range(shapes)]
     for index, path in enumerate(meshes):
@@ -162,7 +164,7 @@ def plan_identities(
     known: set[str] = set()
     for one in plan:
         if one.id in known:
-            raise InputError(one.mesh or one.id, "mesh", "is named twice", "name it once")
+            raise InputError(one.mesh or one.id, "mesh", "is given twice", "give it once")
         known.add(one.id)
     return plan
 

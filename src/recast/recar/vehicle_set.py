@@ -39,7 +39,7 @@ from recast.recar.views import (
 )
 
 _MEND = "see docs/data.md, section Vehicle sets"
-_MEND_OUT = "name another folder, or repeat the options of the set that lies there"
+_MEND_OUT = "name another folder, or use the options of the set in it"
 
 
 @dataclass(frozen=True)
@@ -101,7 +101,7 @@ def read_set(folder: str | Path) -> VehicleSet:
         raise InputError(
             folder / SET_FILE,
             "complete",
-            "is false: the set is still in the making",
+            "is false: the set is not complete",
             "run the command that makes it again; it resumes",
         )
     identities = read_identities(folder, record)
@@ -109,7 +109,7 @@ def read_set(folder: str | Path) -> VehicleSet:
         raise InputError(
             folder,
             "identities",
-            f"{len(identities)} folders where set.json says {record.identities}",
+            f"{len(identities)} folders, but set.json counts {record.identities}",
             "restore the missing ones, or correct set.json",
         )
     return VehicleSet(folder, record, identities)
@@ -154,7 +154,7 @@ def _check_folder(identity: Identity) -> None:
             identity.folder / IDENTITY_FILE,
             "id",
             f"is {identity.record.id!r} in the folder {identity.folder.name!r}",
-            "name the folder by the identity",
+            "name the folder after the identity",
         )
     present = {path.name for path in identity.folder.iterdir()}
     for index in range(identity.set_record.views):
@@ -196,19 +196,22 @@ def check_begin(folder: Path, record: SetRecord, identities: Collection[str]) ->
         return frozenset()
     if not (folder / SET_FILE).is_file():
         raise InputError(
-            folder, "output folder", "exists and is no vehicle set", "name a new or empty folder"
+            folder, "output folder", "exists and is not a vehicle set", "name a new or empty folder"
         )
     found = read_set_record(folder)
     if name := first_difference(_members(found), _members(record)):
         raise InputError(
-            folder / SET_FILE, name, "differs: a set of another configuration lies there", _MEND_OUT
+            folder / SET_FILE,
+            name,
+            "differs: the folder holds a set of another configuration",
+            _MEND_OUT,
         )
     finished = read_identities(folder, found)
     if unwanted := sorted(finished.keys() - set(identities)):
         raise InputError(
             folder,
             unwanted[0],
-            f"lies there but is not among the {len(identities)} asked for",
+            f"is in the folder but not among the {len(identities)} requested",
             _MEND_OUT,
         )
     return frozenset(finished)
@@ -237,7 +240,7 @@ def write_identity(
             (partial / view_file(index)).write_bytes(encode_picture(picture))
             count += 1
         if count != record.views:
-            raise ValueError(f"{identity.id}: {count} pictures where the set has {record.views}")
+            raise ValueError(f"{identity.id}: {count} images, expected {record.views}")
         files.write_json(partial / IDENTITY_FILE, identity.model_dump(mode="json"))
 
 

@@ -37,7 +37,7 @@ MOST_BYTES = 5 * LARGEST_SIDE**2
 
 _SIGNATURE = b"\x89PNG\r\n\x1a\n"
 _RGBA = 6  # PNG colour type of truecolour with alpha
-_MEND = "replace the picture, or remove its identity from the set"
+_MEND = "replace the image, or remove its identity from the set"
 
 
 def view_camera(
@@ -130,11 +130,11 @@ def check_header(head: bytes, where: str | Path, width: int, height: int) -> Non
     """
     head = head[:HEADER_BYTES]
     if len(head) < HEADER_BYTES or not head.startswith(_SIGNATURE) or head[12:16] != b"IHDR":
-        raise InputError(where, "view", "is no PNG", _MEND)
+        raise InputError(where, "view", "is not a PNG file", _MEND)
     found_width, found_height, depth, colour_type = struct.unpack(">IIBB", head[16:26])
     if (found_width, found_height) != (width, height):
         raise InputError(
-            where, "size", f"is {found_width}x{found_height} in a set of {width}x{height}", _MEND
+            where, "size", f"is {found_width}x{found_height}, expected {width}x{height}", _MEND
         )
     if colour_type != _RGBA or depth != 8:
         raise InputError(
@@ -162,7 +162,7 @@ def decode_picture(data: bytes, where: str | Path, width: int, height: int) -> I
     check_header(data, where, width, height)
     with opened(data, where, ("PNG",), what="view", mend=_MEND) as image:
         if image.turned:
-            raise InputError(where, "orientation", "is not upright", "save it as it looks")
+            raise InputError(where, "orientation", "is not upright (EXIF)", "save it upright")
         picture = rgba(image.levels())
     if not np.any(picture[..., 3]):
         raise InputError(where, "alpha", "is zero everywhere", _MEND)

@@ -39,7 +39,7 @@ _LABEL, _HEAD, _GAP, _SPACE = 110, 66, 26, 4
 
 def _at_least_one(interval: tuple[int, int]) -> tuple[int, int]:
     if not 1 <= interval[0] <= interval[1]:
-        raise ValueError("two numbers from 1 up are needed, the larger one last")
+        raise ValueError("expected two numbers of at least 1, the larger one last")
     return interval
 
 
@@ -104,7 +104,7 @@ def read_perturbations(path: str | Path) -> PerturbationConfig:
         path,
         PerturbationConfig,
         PERTURBATIONS_VERSION,
-        "mend it, or start from `recast recar perturb --write-config FILE`",
+        "correct it, or start from `recast recar perturb --write-config FILE`",
         PERTURBATIONS_FORMAT,
     )
 
@@ -141,7 +141,7 @@ def perturb(rgba: Image, config: PerturbationConfig, rng: np.random.Generator) -
     Raises:
         InputError: `rgba` itself is refused by `recast.trellis.check_crop`.
     """
-    check_crop(rgba, "picture to perturb")
+    check_crop(rgba, "image to perturb")
     if rng.uniform() < config.rho_clean:
         return Perturbed(rgba, ())
     window = surroundings(rgba, config.finest)
@@ -202,7 +202,7 @@ def _opaque(rgba: Image) -> int:
 
 def _passes(rgba: Image) -> bool:
     try:
-        check_crop(rgba, "perturbed picture")
+        check_crop(rgba, "perturbed image")
     except InputError:
         return False
     return True

@@ -189,13 +189,18 @@ class ScreeningService:
             Entry(name, cache.records[name].score) for name in cache.ids(accepted_only=False)
         )
         if not self.catalogue:
-            raise InputError(cache.folder, "targets", "none to screen", "make them first")
+            raise InputError(
+                cache.folder,
+                "targets",
+                "there are none to screen",
+                "make targets first: recast recar targets",
+            )
         if pictures is not None and pictures.record.name != cache.record.vehicle_set:
             raise InputError(
                 pictures.folder,
                 "set",
-                f"is {pictures.record.name!r}, the targets are of {cache.record.vehicle_set!r}",
-                "name the set they were made from",
+                f"is {pictures.record.name!r}, but the targets are of {cache.record.vehicle_set!r}",
+                "name the set that the targets were made from",
             )
         self._pictures = pictures
         self._views = () if pictures is None else nearest_views(pictures.record)
@@ -339,5 +344,5 @@ def _number(query: Mapping[str, Any], name: str) -> float | None:
     except (TypeError, ValueError, OverflowError):
         number = math.nan
     if not math.isfinite(number):
-        raise RefusedError(400, f"{name}: is no number")
+        raise RefusedError(400, f"{name}: is not a number")
     return number

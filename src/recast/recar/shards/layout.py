@@ -152,14 +152,14 @@ def shard_members(
 def _members(path: Path, shard: ShardRecord, views: int) -> Mapping[str, tuple[Member, ...]]:
     data = read_bytes(path, JSON_LIMIT)
     if hashlib.sha256(data).hexdigest() != shard.members_sha256:
-        raise InputError(path, "sha256", "is not the one in index.json", MEND)
+        raise InputError(path, "sha256", "differs from the one in index.json", MEND)
     value = parse_json(path, data)
     members = parse_record(path, value, MembersRecord, SHARDS_VERSION, MEND).members
     if tuple(members) != shard.identities:
-        raise InputError(path, "identities", "are not those of the shard in index.json", MEND)
+        raise InputError(path, "identities", "differ from those in index.json", MEND)
     for identity, found in members.items():
         if tuple(member.name for member in found) != member_names(identity, views):
-            raise InputError(path, identity, f"has not a record and {views} views", MEND)
+            raise InputError(path, identity, f"does not have a record and {views} views", MEND)
     _check_places(path, shard, [member for found in members.values() for member in found])
     return members
 
@@ -175,7 +175,7 @@ def _check_places(path: Path, shard: ShardRecord, members: Sequence[Member]) -> 
             raise InputError(path, member.name, f"begins at {member.offset}, not {start}", MEND)
         end = start + member.size + len(padding(member.size))
     if end + len(END) != shard.bytes:
-        raise InputError(path, "members", f"take {end + len(END)} of {shard.bytes} bytes", MEND)
+        raise InputError(path, "members", f"end at byte {end + len(END)} of {shard.bytes}", MEND)
 
 
 def read_member(path: Path, member: Member) -> bytes:
@@ -206,7 +206,7 @@ def read_members(path: Path, members: tuple[Member, ...]) -> list[bytes]:
 
 def cut_short(path: Path, member: Member) -> InputError:
     """The error of a shard that ends before `member` does."""
-    return InputError(path, member.name, "is cut off: the shard ends before it does", MEND)
+    return InputError(path, member.name, "is cut off at the end of the shard", MEND)
 
 
 def parse_identity(path: Path, shard: ShardRecord, member: Member, data: bytes) -> IdentityRecord:

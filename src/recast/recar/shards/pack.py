@@ -43,7 +43,7 @@ from recast.recar.views import MOST_BYTES, check_header
 
 SHARD_BYTES = 256 * 10**6
 
-_MEND = "name another folder, or repeat the options of the shards that lie there"
+_MEND = "name another folder, or use the options of the shards in it"
 
 
 @dataclass(frozen=True)
@@ -170,7 +170,7 @@ def _check_out(out: Path, record: SetRecord, shard_bytes: int) -> None:
             out / INDEX_FILE, "shard_bytes", f"is {found.shard_bytes}, not {shard_bytes}", _MEND
         )
     if name := first_difference(found.set.model_dump(), record.model_dump()):
-        problem = "differs: shards of another set lie there"
+        problem = "differs: the folder holds shards of another set"
         raise InputError(out / INDEX_FILE, f"set.{name}", problem, _MEND)
 
 
@@ -240,8 +240,8 @@ class _Shard:
                 raise InputError(
                     identity.folder,
                     "files",
-                    "have changed while the set is being packed",
-                    "run again",
+                    "have changed while the set was being packed",
+                    "run the command again",
                 )
             self.members[identity.record.id] = tuple(written)
         yield self._counted(END)

@@ -77,7 +77,7 @@ class ShardedIdentity(IdentitySource):
 
     def _member(self, index: int) -> Member:
         if not 0 <= index < self.set_record.views:
-            raise IndexError(f"view {index}: {self.id} has 0 to {self.set_record.views - 1}")
+            raise IndexError(f"view {index}: {self.id} has views 0 to {self.set_record.views - 1}")
         return self.members[1 + index]
 
 
@@ -133,7 +133,9 @@ class LoadedIdentity(IdentitySource):
     def encoded(self, index: int) -> bytes:
         """The PNG of a view."""
         if not 0 <= index < len(self.pictures):
-            raise IndexError(f"view {index}: {self.record.id} has 0 to {len(self.pictures) - 1}")
+            raise IndexError(
+                f"view {index}: {self.record.id} has views 0 to {len(self.pictures) - 1}"
+            )
         return self.pictures[index]
 
     def picture_bytes(self) -> int:
@@ -244,7 +246,7 @@ def read_shards(folder: str | Path, on_bad: OnBad | None = None) -> ShardedSet:
         raise InputError(
             folder / INDEX_FILE,
             "complete",
-            "is false: the shards are still in the making",
+            "is false: the shards are not complete",
             "run `recast recar pack` again; it resumes",
         )
     _check_identities(folder, index)
@@ -273,8 +275,8 @@ def _check_identities(folder: Path, index: IndexRecord) -> None:
         raise InputError(
             folder / INDEX_FILE,
             "identities",
-            f"{len(place)} in the shards, {index.identities} counted, {index.set.identities} in "
-            "the set",
+            f"{len(place)} in the shards, {index.identities} in index.json, "
+            f"{index.set.identities} in the set",
             "pack the set again",
         )
 

@@ -97,7 +97,7 @@ def _wanted(vehicles: VehicleSource, identities: Collection[str] | None) -> list
         return list(vehicles.identities)
     if unknown := sorted(set(identities) - vehicles.identities.keys()):
         raise InputError(
-            vehicles.folder, unknown[0], "is not in the set", "choose among its vehicles"
+            vehicles.folder, unknown[0], "is not in the set", "name vehicles of the set"
         )
     return sorted(set(identities))
 
@@ -131,7 +131,7 @@ def _begin(out: Path, record: CacheRecord) -> TargetCache:
         if not out.exists() or (out.is_dir() and inside <= {files.partial_name(CACHE_FILE).name}):
             return TargetCache(out, record, {}, {})
         raise InputError(
-            out, "output folder", "exists and is no target cache", "name a new or empty folder"
+            out, "output folder", "exists and is not a target cache", "name a new or empty folder"
         )
     cache = TargetCache.open(out, complete=False)
     free: dict[str, Any] = {
@@ -145,8 +145,8 @@ def _begin(out: Path, record: CacheRecord) -> TargetCache:
         raise InputError(
             out / CACHE_FILE,
             name,
-            "differs: targets of another configuration lie there",
-            "name another folder, or repeat the options of the targets that lie there",
+            "differs: the folder holds targets of another configuration",
+            "name another folder, or use the options of the targets in it",
         )
     return cache
 
@@ -241,7 +241,7 @@ def target_table(cache: TargetCache, statistics: TargetStatistics) -> Group:
             f"{statistics.accepted['held-out']:,} held out",
         ),
         ("left out", f"{statistics.below:,} below the threshold, {statistics.rejected:,} rejected"),
-        ("rear to front", f"{statistics.doubtful:,} agree better so: look at them"),
+        ("rear to front", f"{statistics.doubtful:,} agree better when reversed: check them"),
         ("voxels", "{:,} to {:,}, median {:,}".format(*(statistics.voxels[i] for i in (0, 2, 1)))),
     ]
     if score:
@@ -258,7 +258,7 @@ def target_table(cache: TargetCache, statistics: TargetStatistics) -> Group:
     parts: list[Table] = [summary]
     if statistics.failures:
         reasons = Table(box=SIMPLE_HEAD)
-        reasons.add_column("why there is no target")
+        reasons.add_column("reason for the missing target")
         reasons.add_column("vehicles", justify="right")
         for reason, count in statistics.failures.items():
             reasons.add_row(Text(printable(reason)), f"{count:,}")

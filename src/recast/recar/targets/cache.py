@@ -102,14 +102,14 @@ class Target:
         count = len(self.coords)
         if self.coords.shape != (count, 3) or self.latent.ndim != 2 or len(self.latent) != count:
             raise ValueError(
-                f"coords {self.coords.shape} and latent {self.latent.shape}, not (T, 3), (T, C)"
+                f"coords {self.coords.shape} latent {self.latent.shape}, expected (T, 3), (T, C)"
             )
         if count == 0:
-            raise ValueError("no active voxel")
+            raise ValueError("holds no active voxels")
         if self.coords.min() < 0 or not _rising(self.coords):
-            raise ValueError("coords are below zero, not in order, or there twice")
+            raise ValueError("coords are negative, out of order or repeated")
         if not (np.isfinite(self.structure).all() and np.isfinite(self.latent).all()):
-            raise ValueError("values that are not finite")
+            raise ValueError("holds values that are not finite")
 
 
 def _rising(coords: NDArray[np.int32]) -> bool:
@@ -161,7 +161,7 @@ class TargetCache:
             raise InputError(
                 folder / RECORDS,
                 "records",
-                f"{len(records)} where cache.json says {record.identities}",
+                f"{len(records)}, but cache.json counts {record.identities}",
                 "make the targets again",
             )
         decisions = dict(Screening(folder).decisions)
@@ -219,8 +219,8 @@ class TargetCache:
             raise InputError(
                 latent_path,
                 "coords",
-                f"{len(target.coords)} voxels up to {largest}, not the "
-                f"{voxels} below {model.resolution} of the record",
+                f"are {len(target.coords)} voxels up to {largest}, expected {voxels} below "
+                f"{model.resolution}",
                 MEND,
             )
         return target
@@ -241,7 +241,7 @@ class TargetCache:
         """
         voxels = 0 if target is None else len(target.coords)
         if (target is None) != (record.failure is not None) or voxels != record.voxels:
-            raise ValueError(f"{record.id}: {voxels} voxels, record {record}")
+            raise ValueError(f"{record.id}: {voxels} voxels contradict the record {record}")
         if target is not None:
             structure_path, latent_path = self._paths(record.id)
             write_arrays(structure_path, mean=target.structure.astype(np.float32))
@@ -267,7 +267,10 @@ class TargetCache:
         found = structure.statistics(), latent.statistics()
         if found[0] is None or found[1] is None:
             raise InputError(
-                self.folder, "targets", "none is accepted", "lower the threshold, or make others"
+                self.folder,
+                "targets",
+                "none of them is accepted",
+                "lower the threshold, or make more",
             )
         return found[0], found[1]
 
@@ -293,6 +296,6 @@ def read_records(folder: Path) -> dict[str, TargetRecord]:
     for path in sorted((folder / RECORDS).glob("[!.]*.json")):
         one = read_record(path, TargetRecord, CACHE_VERSION, MEND)
         if one.id != path.stem:
-            raise InputError(path, "id", f"is {one.id!r}", "name the record by its vehicle")
+            raise InputError(path, "id", f"is {one.id!r}", "name the file after its vehicle")
         records[one.id] = one
     return records

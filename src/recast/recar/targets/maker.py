@@ -142,8 +142,8 @@ class TargetMaker:
             raise InputError(
                 name,
                 f"seed {seed}",
-                "the model gives values that are not finite",
-                "check the model",
+                "the model produces values that are not finite",
+                "check the weights of the model",
             )
         return made
 
@@ -212,7 +212,7 @@ def contact_sheet(candidate: Candidate) -> bytes:
     for column, index in enumerate(_COLUMNS):
         view = turned(candidate.viewpoints[index], candidate.heading_deg)
         shown = resized(of_picture(candidate.pictures[index]), TILE).before(_GREY)
-        rows[0].append(_captioned(shown, f"picture: {_CAPTIONS[column]}"))
+        rows[0].append(_captioned(shown, f"image: {_CAPTIONS[column]}"))
         rows[1].append(_captioned(_tile(candidate.gaussians, view), "target"))
         rows[2].append(_tile(candidate.gaussians, turned(view, 45.0)))
     return encode(np.vstack([np.hstack(row) for row in rows]))
@@ -250,7 +250,12 @@ def filter_record(settings: FilterSettings) -> FilterRecord:
     """
     if settings.kind == "none":
         if settings.threshold is not None:
-            raise InputError("`threshold`", "value", "needs a filter", "choose one, or leave it")
+            raise InputError(
+                "`threshold`",
+                "value",
+                "needs a filter",
+                "choose a `filter`, or leave `threshold` out",
+            )
         return FilterRecord()
     weights: dict[str, str] = {}
     if settings.kind == "agreement":

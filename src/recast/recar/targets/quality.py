@@ -299,7 +299,7 @@ def load_predictor(path: Path) -> nn.Sequential:
         for part, tensor in layer.state_dict().items()
     }
     if found.keys() != expected.keys():
-        raise InputError(path, "aesthetic predictor", "is another network", _MEND)
+        raise InputError(path, "aesthetic predictor", "does not hold the expected network", _MEND)
     for name, tensor in expected.items():
         given = found[name]
         if given.shape != tensor.shape:
@@ -338,7 +338,7 @@ def check_clip(folder: Path, width: int) -> None:
         raise InputError(
             folder / "config.json",
             "projection_dim",
-            f"is {found}, the predictor wants {width}",
+            f"is {found}, the predictor needs {width}",
             "name a folder with the files of openai/clip-vit-large-patch14",
         )
 

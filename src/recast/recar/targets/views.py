@@ -63,7 +63,7 @@ def nearest_views(record: SetRecord) -> tuple[int, ...]:
                 record.name,
                 "azimuths",
                 f"no view within {FARTHEST_DEG:g} degrees of {wanted:g}",
-                "targets need a view of front, rear, left and right",
+                "add views: targets need the front, rear, left and right",
             )
         chosen.append(index)
     return tuple(chosen)

@@ -100,7 +100,9 @@ def assemble(
         tell(progress, number + 1, len(store))
     found = moments.statistics()
     if found is None:
-        raise InputError(assets, "assets", "none to train on", "make more")
+        raise InputError(
+            assets, "assets", "there are none to train on", "make more: recast recar assets"
+        )
     record = PipelineRecord.of(
         {role: size.stem for role, size in SMALL.models.items()},
         SAMPLER,

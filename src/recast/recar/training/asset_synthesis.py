@@ -75,7 +75,7 @@ def make_assets(
     if path.exists():
         found = read_record(path, AssetsRecord, 1, _MEND, record.format)
         if found != record:
-            raise InputError(path, "settings", "differ from those asked for", _MEND)
+            raise InputError(path, "settings", "differ from the requested ones", _MEND)
     else:
         write_json(path, record.model_dump(mode="json"))
     left = [i for i in range(count) if not asset_path(out, i).exists()]

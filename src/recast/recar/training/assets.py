@@ -73,9 +73,11 @@ class TrainingAsset:
             if not np.isfinite(found).all():
                 raise ValueError(f"{name}: holds values that are not finite")
         if not voxels or not pixels or 0 in (*voxels, *views, *pixels):
-            raise ValueError("holds no voxel or no picture")
+            raise ValueError("holds no voxels or no images")
         if not 0 < self.crops <= len(self.pictures) or not (self.focal > 0).all():
-            raise ValueError(f"crops: {self.crops} of {len(self.pictures)}, or a focal length <= 0")
+            raise ValueError(
+                f"crops is {self.crops}, of {len(self.pictures)} images, or a focal length is <= 0"
+            )
 
 
 _MEND = "make the assets again"
@@ -128,7 +130,7 @@ class AssetStore:
         self.folder = folder
         self.paths = sorted(folder.glob("asset-*.npz"))
         if not self.paths:
-            raise InputError(folder, "assets", "none found", "make some: recast recar assets")
+            raise InputError(folder, "assets", "there are none", "make some: recast recar assets")
         self._read = lru_cache(maxsize=_KEPT)(read_asset)
 
     def __len__(self) -> int:
@@ -149,7 +151,7 @@ def occupancy(assets: list[TrainingAsset], resolution: int) -> Tensor:
         raise InputError(
             "assets",
             "coords",
-            f"reach {largest}, the networks take {resolution} a side",
+            f"reach {largest}, but the networks take {resolution} voxels a side",
             "make the assets again",
         )
     grid = torch.zeros(len(assets), 1, resolution, resolution, resolution)

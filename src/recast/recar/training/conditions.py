@@ -97,7 +97,7 @@ class AssetConditions:
         """One of its first `crops` pictures."""
         crops = self._crops(self._paths[identity])
         if not 0 <= index < len(crops):
-            raise IndexError(f"crop {index}: {identity} has {len(crops)}")
+            raise IndexError(f"crop {index}: {identity} has {len(crops)} crops")
         return crops[index]
 
 
@@ -118,7 +118,7 @@ def open_conditions(folder: Path) -> ConditionSource:
         raise InputError(
             folder,
             "pictures",
-            f"no {SET_FILE}, no {INDEX_FILE} and no assets (*.npz) there",
+            f"the folder holds no {SET_FILE}, {INDEX_FILE} or assets (*.npz)",
             "name a vehicle set, or a folder of training assets",
         )
     return AssetConditions(paths)
@@ -209,7 +209,7 @@ class ConditionTokens:
         rgba = self.source.picture(view.identity, view.index)
         if alter is not None:
             rgba = alter(rgba, rng)
-        where = f"{view.identity} picture {view.index}"
+        where = f"{view.identity} image {view.index}"
         return crop_to_object(rgba, self.encoder.image_size, where=where)
 
     def of(

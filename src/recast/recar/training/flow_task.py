@@ -82,7 +82,7 @@ class StructureFlow:
                 raise InputError(
                     "targets",
                     "structure",
-                    f"is {one.structure.shape}, the network takes {shape}",
+                    f"is {one.structure.shape}, but the network takes {shape}",
                     "make the targets with a model of the same size",
                 )
         stacked = torch.stack([torch.from_numpy(one.structure) for one in targets])

@@ -167,8 +167,8 @@ def check_same_inputs(folder: Path, inputs: StageInputs) -> None:
                 raise InputError(path, f"inputs.{name}", f"is {theirs!r}, not {ours!r}", _MEND_OUT)
         _check_config(path, found.config, inputs.config)
     elif folder.exists() and any(folder.iterdir()):
-        problem = f"holds something else: no {RECORD_FILE} is there"
-        raise InputError(folder, "output folder", problem, "name another one")
+        problem = f"holds other files and no {RECORD_FILE}"
+        raise InputError(folder, "output folder", problem, "name another folder")
 
 
 def _check_config(path: Path, found: StageConfig, asked: StageConfig) -> None:
@@ -176,7 +176,7 @@ def _check_config(path: Path, found: StageConfig, asked: StageConfig) -> None:
     free |= {"probe", "sheet_every", "sheet_vehicles", "token_memory_mib"}
     same_flows = found.settings.keys() == asked.settings.keys()
     if not same_flows or found.model_dump(exclude=free) != asked.model_dump(exclude=free):
-        raise InputError(path, "inputs.config", "differs from the one asked for", _MEND_OUT)
+        raise InputError(path, "inputs.config", "differs from the requested one", _MEND_OUT)
 
 
 def hash_files(folder: Path, files: Iterable[Path]) -> str:

@@ -88,8 +88,8 @@ class _Stage:
         """Train, and where no flow is left write the model and say so in the record."""
         if self.parts.unscreened:
             self.console.print(
-                f"{self.request.targets}: nobody screened {self.parts.unscreened} of the "
-                f"{len(self.parts.train)} targets to train on; recast recar screen shows them",
+                f"{self.request.targets}: {self.parts.unscreened} of the {len(self.parts.train)} "
+                "training targets are not screened; screen them with recast recar screen",
                 markup=False,
                 soft_wrap=True,
             )

@@ -77,13 +77,13 @@ class StageConfig(Record):
         for name, settings in self.settings.items():
             if self.objective.batch < settings.accumulate:
                 raise ValueError(
-                    f"{name}: a batch of {self.objective.batch} accumulated in "
+                    f"{name}: a batch of {self.objective.batch} does not split into "
                     f"{settings.accumulate} parts"
                 )
             if self.weights == "average" and settings.ema_decay is None:
                 raise ValueError(f"{name}: weights are the average, but ema_decay is null")
         if self.train_encoder and self.structure is None:
-            raise ValueError("train_encoder: the encoder trains with the structure flow")
+            raise ValueError("train_encoder: the encoder can only train with the structure flow")
         return self
 
     @property
@@ -171,10 +171,10 @@ def read_stage_config(path: Path) -> StageConfig:
     mend = "see docs/recar.md, section Training"
     values = read_json(path)
     if not isinstance(values, dict):
-        raise InputError(path, "JSON", "is no object", mend)
+        raise InputError(path, "JSON", "is not an object", mend)
     preset = values.pop("preset", None)
     if preset is not None and preset not in PRESETS:
-        raise InputError(path, "preset", f"is {preset!r}", f"take one of {', '.join(PRESETS)}")
+        raise InputError(path, "preset", f"is {preset!r}", f"use one of {', '.join(PRESETS)}")
     start = {} if preset is None else PRESETS[preset].model_dump(mode="json")
     try:
         return StageConfig.model_validate(overridden(start, values))

@@ -86,7 +86,9 @@ def open_stage(request: StageRequest, processes: Processes) -> StageParts:
     config = request.config
     for flow in request.flows:
         if flow not in config.settings:
-            raise InputError("`flow`", flow, f"is not trained by {config.name}", "name another")
+            raise InputError(
+                "`flow`", flow, f"is not trained by {config.name}", "name another flow"
+            )
     for name, settings in config.settings.items():
         parts = settings.accumulate * processes.count
         if parts > config.objective.batch:
@@ -95,7 +97,7 @@ def open_stage(request: StageRequest, processes: Processes) -> StageParts:
                 "objective.batch",
                 f"is {config.objective.batch}, less than {parts} parts of {name} "
                 f"({processes.count} processes, accumulate {settings.accumulate})",
-                "raise it, or take fewer processes",
+                "raise it, or use fewer processes",
             )
     targets = TargetCache.open(request.targets)
     pictures = open_conditions(request.pictures)
@@ -112,7 +114,7 @@ def open_stage(request: StageRequest, processes: Processes) -> StageParts:
         raise InputError(
             request.model,
             "image encoder",
-            "is the published one, which stays as it is",
+            "is the published one, which cannot be trained",
             "set train_encoder to false",
         )
     _check_sizes(request, model, targets, (*train, *held_out))
@@ -141,7 +143,7 @@ def _check_pictures(
         raise InputError(
             request.pictures,
             "pictures",
-            f"{len(missing)} vehicles with a target have none: {_listed(missing)}",
+            f"{len(missing)} vehicles with a target have no images: {_listed(missing)}",
             "name the set that the targets were made from",
         )
     if isinstance(pictures, SetConditions):
@@ -164,7 +166,7 @@ def _check_sizes(
         raise InputError(
             request.targets,
             "resolution",
-            f"of the targets is {targets.record.model.resolution}, the model makes "
+            f"of the targets is {targets.record.model.resolution}, but the model makes "
             f"{latent.resolution}",
             "make the targets with a model of the same size",
         )
@@ -176,7 +178,7 @@ def _check_sizes(
             raise InputError(
                 request.targets,
                 identity,
-                f"has structure and latent of {found}, the model makes {expected}",
+                f"has structure and latent of {found}, but the model makes {expected}",
                 "make the targets with a model of the same size",
             )
 

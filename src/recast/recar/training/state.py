@@ -139,14 +139,16 @@ class TrainingState:
                 module.load_state_dict(_below(tensors, f"model/{name}/"))
         except RuntimeError as error:
             reason = str(error).splitlines()[-1].strip()
-            raise InputError(path, "weights", f"of other networks ({reason})", _MEND) from None
+            raise InputError(
+                path, "weights", f"belong to another network ({reason})", _MEND
+            ) from None
         for name, average in self.averages.items():
             average.load_state_dict(_below(tensors, f"average/{name}/"), path)
         for index, parameter in enumerate(self.parameters()):
             moments = _below(tensors, f"optimiser/{index}/")
             expected = {k: () if k == "step" else tuple(parameter.shape) for k in _MOMENTS}
             if moments and {k: tuple(v.shape) for k, v in moments.items()} != expected:
-                raise InputError(path, f"optimiser/{index}", "is of another optimiser", _MEND)
+                raise InputError(path, f"optimiser/{index}", "belongs to another optimiser", _MEND)
             if moments:
                 self.optimiser.state[parameter] = {
                     k: v if k == "step" else v.to(parameter.device) for k, v in moments.items()
@@ -188,11 +190,11 @@ def _check_settings(path: Path, header: _Header, settings: TrainerSettings) -> N
     if not found.same_course(settings):
         names = [n for n, v in found if v != getattr(settings, n)]
         raise InputError(
-            path, "settings", f"differ from those asked for ({', '.join(names)})", _MEND
+            path, "settings", f"differ from the requested ones ({', '.join(names)})", _MEND
         )
     if header.step > settings.steps:
         raise InputError(
-            path, "steps", f"{header.step} are done, {settings.steps} were asked for", _MEND
+            path, "steps", f"{header.step} are done, but {settings.steps} are requested", _MEND
         )
 
 
