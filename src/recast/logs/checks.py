@@ -49,14 +49,14 @@ def check_text(where: str, text: object) -> None:
     try:
         text.encode()
     except UnicodeEncodeError:
-        raise ValueError(f"{where}: {text!r} holds half a character (a lone surrogate)") from None
+        raise ValueError(f"{where}: {text!r} contains a lone surrogate character") from None
 
 
 def check_name(where: str, name: object) -> None:
     """Check for a name of 1 to `NAME_LIMIT` characters; any character is allowed."""
     check_text(where, name)
     if not isinstance(name, str) or not 0 < len(name) <= NAME_LIMIT:
-        raise ValueError(f"{where}: a name has 1 to {NAME_LIMIT} characters, got {name!r}")
+        raise ValueError(f"{where}: a name must have 1 to {NAME_LIMIT} characters, got {name!r}")
 
 
 def check_times(where: str, timestamps_us: NDArray[np.int64]) -> None:

@@ -73,7 +73,7 @@ class GroundHeight:
         checks.check_reach(f"{where}.origin", self.origin, checks.WORLD_REACH)
         least, most = checks.BOX_SIDE
         if not least <= self.cell <= most:
-            raise ValueError(f"{where}.cell: {self.cell} is not {least} to {most} m")
+            raise ValueError(f"{where}.cell: {self.cell} is not within {least} to {most} m")
         if self.height.ndim != 2 or self.height.size == 0:
             raise ValueError(f"{where}.height: expected (rows, columns), got {self.height.shape}")
         known = self.height[~np.isnan(self.height)]
@@ -103,7 +103,7 @@ class HdMap:
             where = f"HdMap.lanes[{key!r}]"
             checks.check_name(where, key)
             if lane.lane_id != key:
-                raise ValueError(f"{where}.lane_id: is {lane.lane_id!r}")
+                raise ValueError(f"{where}.lane_id: is {lane.lane_id!r}, not the lane's key")
             for name in ("centreline", "left_boundary", "right_boundary"):
                 checks.check_lines(f"{where}.{name}", getattr(lane, name), columns=3, least=2)
             checks.check_lines(f"{where}.polygon", lane.polygon, columns=2, least=3)
@@ -113,7 +113,7 @@ class HdMap:
             linked = (*lane.successors, lane.left_neighbour, lane.right_neighbour)
             for other in linked:
                 if other is not None and other not in self.lanes:
-                    raise ValueError(f"{where}: names lane {other!r}, which the map lacks")
+                    raise ValueError(f"{where}: refers to lane {other!r}, which is not in the map")
         for i, outline in enumerate(self.drivable_area):
             checks.check_lines(f"HdMap.drivable_area[{i}]", outline, columns=2, least=3)
         for key, text in self.notes.items():

@@ -79,8 +79,8 @@ def require_size(
         raise InputError(
             where,
             "image size",
-            f"is {found[0]}x{found[1]}, {says} says {size[0]}x{size[1]}",
-            "take images and calibration of the same recording",
+            f"is {found[0]}x{found[1]}, but {says} says {size[0]}x{size[1]}",
+            "use images and calibration of the same recording",
         )
 
 
@@ -99,7 +99,9 @@ def stored(data: bytes, kind: str, where: str | Path) -> tuple[bytes, str]:
 
 def _opened(data: bytes, kind: str, where: str | Path) -> AbstractContextManager[images.OpenImage]:
     if kind not in ("png", "jpeg"):
-        raise InputError(where, "image", f"is {kind!r}, not png or jpeg", "convert it")
+        raise InputError(
+            where, "image", f"is {kind!r}, not png or jpeg", "convert it to PNG or JPEG"
+        )
     return images.opened(data, where, (kind.upper(),), mend="download it again")
 
 

@@ -177,9 +177,9 @@ def _rated(track: TrackInfo) -> TrackInfo:
     if track.category not in VEHICLES:
         return replace(track, why="is not a car, van, truck or bus")
     if seen.frames == 0:
-        return replace(track, why="is in no image")
+        return replace(track, why="is not visible in any image")
     if not seen.whole:
-        return replace(track, why="is cut by the border in every image")
+        return replace(track, why="is cut by the image border in every image")
     if points < FEWEST_POINTS:
         return replace(track, why=f"has {points} LiDAR points, {FEWEST_POINTS} are needed")
     moves = "moves" if track.displacement > MOVING else "stands"

@@ -92,7 +92,7 @@ def load_log(
         raise InputError("load_log", "importer", problem, 'name one, such as importer="kitti"')
     if isinstance(source, DrivingLog):
         log = source
-        require_plausible(log, f"log {log.name}", "correct the data that the log was made of")
+        require_plausible(log, f"log {log.name}", "correct the data from which the log was made")
     else:
         log = read_log(local_folder(source, progress))
     warn_odd(log)
@@ -219,7 +219,7 @@ class _Remote:
                         progress(done, total)
                 copied = out.tell()
             if copied != file.size:
-                problem = f"{copied} bytes arrived, {file.size} were announced"
+                problem = f"{copied} bytes arrived, {file.size} were expected"
                 raise InputError(self.address, name, problem, "load it again")
 
     def _blocks(self, name: str, file: _File) -> Iterator[bytes]:

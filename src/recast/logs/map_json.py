@@ -86,7 +86,7 @@ def parse_map(where: str | Path, value: Any) -> HdMap:
     Raises:
         InputError: no map.json, of another version, or a field of the wrong kind.
     """
-    mend = "import the drive again with this recast"
+    mend = "import the drive again with this version of recast"
     model = parse_record(where, value, _MapModel, VERSION, mend, "recast-map")
     with refused(where, mend):
         hd_map = _from_model(model)
@@ -136,7 +136,7 @@ def _compact(value: Any) -> str:
 
 def _from_model(model: _MapModel) -> HdMap:
     if len({lane.lane_id for lane in model.lanes}) != len(model.lanes):
-        raise ValueError("lanes: two have the same lane_id")
+        raise ValueError("lanes: two lanes have the same lane_id")
     if model.ground is not None and len({len(row) for row in model.ground.height}) > 1:
         raise ValueError("ground.height: rows have different lengths")
     lanes = {}

@@ -114,9 +114,9 @@ def _open(folder: Path, pid: int, inode: int, changed: int) -> SequenceComponent
     with readable(listing, field):
         listed = [store["path"] for store in files.read_json(listing)[field]]
     if not listed or not all(isinstance(name, str) for name in listed):
-        raise InputError(listing, field, "names no files", MEND)
+        raise InputError(listing, field, "lists no files", MEND)
     if len(set(listed)) != len(listed):
-        raise InputError(listing, field, "names a store twice", MEND)
+        raise InputError(listing, field, "lists a store twice", MEND)
     paths = [names.member(folder, name, listing, field) for name in listed]
     for path in paths:
         with readable(path, "NCore store"):
@@ -197,7 +197,7 @@ def _check_array(
     if not all(type(n) is int and n >= 0 for n in shape) or len(shape) > 4:
         raise ValueError(f"array {name} has shape {shape!r}")
     if list(array["chunks"]) != [max(n, 1) for n in shape]:
-        raise ValueError(f"array {name} is not in one piece")
+        raise ValueError(f"array {name} is not stored in one piece")
     size = np.dtype(dtype).itemsize * math.prod(shape)
     offset, stored = records.get(name + (".".join("0" * len(shape)) or "0"), (0, 0))
     unpacked = stored

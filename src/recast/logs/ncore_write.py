@@ -87,7 +87,7 @@ def write_ncore(log: DrivingLog, folder: Path, progress: Progress) -> None:
         try:
             stores = _write_stores(writer, log, progress)
         except AssertionError as error:  # NCore's own checks
-            mend = "take a recording whose sensors agree about its times"
+            mend = "use a recording whose sensors agree on its times"
             raise InputError(f"log {log.name}", "NCore store", str(error), mend) from error
     _write_sequence_file(folder, stores)
 
@@ -232,7 +232,7 @@ def _encoded(stream: CameraStream, index: int) -> tuple[bytes, str]:
         raise InputError(
             f"cameras[{stream.name!r}]",
             f"images[{index}]",
-            f"is {image.shape} {image.dtype}, the intrinsics are of {camera.width}x{camera.height}",
+            f"is {image.shape} {image.dtype}, the intrinsics are for {camera.width}x{camera.height}",
             "give images and intrinsics of the same size",
         )
     buffer = io.BytesIO()
@@ -248,7 +248,7 @@ def _write_sweeps(
     lidar_from_rig = se3.inverse(lidar.rig_from_lidar)
     for index in range(len(lidar.timestamps_us)):
         sweep = lidar.sweeps[index]
-        with refused("log", "import the drive from files that are whole"):
+        with refused("log", "import the drive from complete files"):
             sweep.validate(f"lidars[{lidar.name!r}].sweeps[{index}]")
             directions, distances = _rays(sweep, lidar_from_rig, world_from_rig)
         times = sweep.point_timestamps_us

@@ -497,13 +497,13 @@ def _ego_findings(figures: Figures, ego: _Motion | None) -> Iterator[tuple[bool,
     median, worst = figures.heading_off, figures.heading_off_worst
     if median > MOST_BESIDE or worst > MOST_BESIDE_IN_TURNS:
         shown = median if median > MOST_BESIDE else worst
-        problem = f"the rig faces {shown:.0f} degrees away from where it moves"
+        problem = f"the rig faces {shown:.0f} degrees away from its direction of motion"
         yield True, Finding(field, problem, _facing_hint(median))
     elif figures.turning is not None and figures.turning < WRONG_TURN:
-        problem = "the rig turns right where its way turns left"
+        problem = "the rig turns right while its path turns left"
         yield True, Finding(field, problem, _facing_hint(median))
     elif median > ODD_BESIDE:
-        problem = f"the rig faces {median:.0f} degrees away from where it moves"
+        problem = f"the rig faces {median:.0f} degrees away from its direction of motion"
         yield False, Finding(field, problem, "is the yaw of the rig's mounting right?")
     backwards = -float(np.median(ego.ahead))
     if ego.reversing > 0.5 and backwards > FASTEST_REVERSING:
@@ -622,12 +622,12 @@ def _track_findings(tracks: Sequence[_TrackFigures]) -> Iterator[tuple[bool, Fin
     sideways = [one for one in moving if one.sideways]
     if sideways:
         beside = max(float(np.median(one.motion.beside)) for one in sideways if one.motion)
-        problem = f"{_of(sideways, moving)} that move face up to {beside:.0f} degrees away from it"
-        hint = "is x the forward axis of the boxes, and their yaw in radians, of the world?"
+        problem = f"{_of(sideways, moving)} in motion face up to {beside:.0f} degrees away from it"
+        hint = "is x the forward axis of the boxes, and their yaw in radians, in the world?"
         yield len(sideways) >= max(FEWEST, len(moving) / 2), Finding("tracks", problem, hint)
     backwards = [one for one in moving if one.backwards]
     if backwards:
-        problem = f"{_of(backwards, moving)} that move do it backwards"
+        problem = f"{_of(backwards, moving)} in motion move backwards"
         hint = "do the boxes face the other way, or are the poses of the rig inverted?"
         yield False, Finding("tracks", problem, hint)
     jumping = [one for one in tracks if one.jumps]
@@ -636,20 +636,22 @@ def _track_findings(tracks: Sequence[_TrackFigures]) -> Iterator[tuple[bool, Fin
         count = sum(one.jumps for one in jumping)
         problem = f"{_of(jumping, tracks)} jump ({count} jumps), {_name(worst)} by "
         problem += f"{worst.longest:.0f} m"
-        hint = "has one id several objects, or are boxes of another frame?"
+        hint = "does one id stand for several objects, or are boxes in another frame?"
         yield False, Finding("tracks", problem, hint)
     flipping = [one for one in tracks if one.flips]
     if flipping:
         count = sum(one.flips for one in flipping)
-        problem = f"{_of(flipping, tracks)} turn around within a label, {count} labels in all"
-        yield False, Finding("tracks", problem, "correct the headings: sides are confused")
+        problem = (
+            f"{_of(flipping, tracks)} turn around from one label to the next, {count} labels in all"
+        )
+        yield False, Finding("tracks", problem, "correct the headings: front and rear are swapped")
 
 
 def _size_findings(vehicles: Sequence[_TrackFigures]) -> Iterator[tuple[bool, Finding]]:
     wide = [one for one in vehicles if one.wide]
     if wide:
         length, width, height = wide[0].track.size.tolist()
-        problem = f"{_of(wide, vehicles)} are wider or higher than long"
+        problem = f"{_of(wide, vehicles)} are wider or higher than they are long"
         problem += f" ({length:.1f} x {width:.1f} x {height:.1f} m)"
         hint = "are sizes length, width, height, in metres?"
         yield False, Finding("tracks", problem, hint)

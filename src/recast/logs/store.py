@@ -45,7 +45,7 @@ def write_log(log: DrivingLog, path: str | Path, progress: WriteProgress | None 
         InputError: the log is not valid, no vehicle can have recorded it, one of its images or
             sweeps cannot be read, `path` exists, or the disk refuses.
     """
-    require_plausible(log, f"log {log.name}", "correct the data that the log was made of")
+    require_plausible(log, f"log {log.name}", "correct the data from which the log was made")
     with files.atomic_folder(path) as folder:
         write_ncore(log, folder, progress or (lambda done, total: None))
         if log.map is not None:
@@ -81,7 +81,7 @@ def read_log(path: str | Path) -> DrivingLog:
         folder / LOG_FILE,
         LogRecord,
         VERSION,
-        "name a folder that import wrote, or import again",
+        "name a folder that recast log import wrote, or import again",
         "recast-log",
     )
     store = NcoreFolder(folder)
@@ -139,5 +139,5 @@ class LogRecord(records.Record):
     @classmethod
     def _different(cls, names: list[str]) -> list[str]:
         if len(set(names)) != len(names):
-            raise ValueError("a name stands there twice")
+            raise ValueError("a name appears twice")
         return names

@@ -101,11 +101,11 @@ class LidarSweep:
         if self.intensity.shape != (count,) or not np.all(
             (self.intensity >= 0) & (self.intensity <= 1)
         ):
-            raise ValueError(f"{where}.intensity: {count} values are needed, none outside [0, 1]")
+            raise ValueError(f"{where}.intensity: expected {count} values within [0, 1]")
         times = np.asarray(self.timestamp_us)[None]
         if self.point_timestamps_us is not None:
             if self.point_timestamps_us.shape != (count,):
-                raise ValueError(f"{where}.point_timestamps_us: not {count} times")
+                raise ValueError(f"{where}.point_timestamps_us: expected {count} times")
             times = np.append(self.point_timestamps_us, times)
         checks.check_time_range(f"{where}.timestamp_us", times)
 
@@ -179,7 +179,9 @@ class Track:
         checks.check_name(f"{where}.category", self.category)
         least, most = checks.BOX_SIDE
         if self.size.shape != (3,) or not np.all((self.size >= least) & (self.size <= most)):
-            raise ValueError(f"{where}.size: three metres of {least} to {most}, got {self.size}")
+            raise ValueError(
+                f"{where}.size: expected three sides of {least} to {most} m, got {self.size}"
+            )
         self.trajectory.validate(where)
 
 
@@ -221,7 +223,9 @@ class DrivingLog:
             checks.check_name("metadata", key)
             checks.check_text(f"metadata[{key!r}]", text)
         if self.world_offset.shape != (3,) or not np.all(np.isfinite(self.world_offset)):
-            raise ValueError(f"world_offset: three finite metres, got {self.world_offset}")
+            raise ValueError(
+                f"world_offset: expected three finite numbers in metres, got {self.world_offset}"
+            )
         self.world_from_rig.validate("world_from_rig")
         if len(self.world_from_rig.timestamps_us) < 2:
             raise ValueError("world_from_rig: at least two poses are needed")
@@ -234,7 +238,7 @@ class DrivingLog:
                 stream.mask.shape != shape or stream.mask.dtype != np.bool_
             ):
                 found = f"{stream.mask.shape} {stream.mask.dtype}"
-                raise ValueError(f"{where}.mask: {found}, expected {shape} bool")
+                raise ValueError(f"{where}.mask: expected {shape} bool, got {found}")
         for name, lidar in self.lidars.items():
             where = f"lidars[{name!r}]"
             self._check_sensor(where, name, lidar, lidar.rig_from_lidar, len(lidar.sweeps))
@@ -243,7 +247,9 @@ class DrivingLog:
         for key, track in self.tracks.items():
             track.validate(f"tracks[{key!r}]")
             if track.track_id != key:
-                raise ValueError(f"tracks[{key!r}].track_id: is {track.track_id!r}")
+                raise ValueError(
+                    f"tracks[{key!r}].track_id: is {track.track_id!r}, not the track's key"
+                )
             self._check_covered(f"tracks[{key!r}]", track.trajectory.timestamps_us)
         if self.map is not None:
             self.map.validate()
@@ -253,16 +259,16 @@ class DrivingLog:
     ) -> None:
         checks.check_name(where, key)
         if stream.name != key:
-            raise ValueError(f"{where}.name: is {stream.name!r}")
+            raise ValueError(f"{where}.name: is {stream.name!r}, not the sensor's key")
         if key in FRAMES:
-            raise ValueError(f"{where}: no sensor can be called {' or '.join(FRAMES)}")
-        checks.check_poses(f"{where}: its mounting", mount, checks.SENSOR_REACH)
+            raise ValueError(f"{where}: a sensor cannot be called {' or '.join(FRAMES)}")
+        checks.check_poses(f"{where}: mounting", mount, checks.SENSOR_REACH)
         if mount.shape != (4, 4):
-            raise ValueError(f"{where}: its mounting: expected (4, 4), got {mount.shape}")
+            raise ValueError(f"{where}: mounting: expected (4, 4), got {mount.shape}")
         times = stream.timestamps_us
         checks.check_times(f"{where}.timestamps_us", times)
         if frames != len(times):
-            raise ValueError(f"{where}: {frames} frames for {len(times)} timestamps")
+            raise ValueError(f"{where}: has {frames} frames for {len(times)} timestamps")
         self._check_covered(f"{where}.timestamps_us", times)
 
     def _check_covered(self, where: str, timestamps_us: Int64Array) -> None:

@@ -129,7 +129,7 @@ def read_tracks(path: Path, world_from_rig: Trajectory, rig_from_ego: Array) -> 
             raise InputError(
                 path,
                 f"timestamp_ns in row {mine[twice[0] + 1]}",
-                f"is there twice for track {name}",
+                f"appears twice for track {name}",
                 "keep one box for each track and time",
             )
         category = CATEGORIES[str(rows["category"][mine[0]])]
@@ -180,7 +180,7 @@ def _check(
             path,
             f"timestamp_ns in row {outside[0]}",
             f"{rows['timestamp_ns'][outside[0]]} lies outside the log's ego poses",
-            "take the annotations of this log",
+            "use the annotations of this log",
         )
     distance = np.linalg.norm(ego_from_box[:, :3, 3], axis=1)
     if np.any(distance > _FARTHEST):
@@ -259,7 +259,7 @@ def _ego(
     times = times_of(path, rows)
     city_from_ego = poses(path, rows)
     if len(times) < 2:
-        raise InputError(path, "rows", f"{len(times)}, at least 2 are needed", "download it again")
+        raise InputError(path, "rows", f"there are {len(times)}, 2 are needed", "download it again")
     steps = np.diff(times)
     if np.any(steps <= 0):
         row = int(np.argmax(steps <= 0)) + 1
@@ -267,7 +267,7 @@ def _ego(
         raise InputError(path, field, "is not later than the row before", "download it again")
     if np.any(steps > 1000 * LONGEST_GAP_US):
         row = int(np.argmax(steps))
-        problem = f"the next pose comes {steps[row] / 1e9:.1f} s later"
+        problem = f"the next pose is {steps[row] / 1e9:.1f} s later"
         raise InputError(path, f"{TIME} in row {row}", problem, "use a log without the gap")
     # Poses of two clocks are merged in the files: some are a nanosecond apart.
     times_us, first = np.unique(times // 1000, return_index=True)

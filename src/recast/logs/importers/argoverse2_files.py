@@ -159,7 +159,7 @@ def poses(path: Path, columns: Columns) -> Array:
         raise InputError(
             path,
             f"qw, qx, qy, qz in row {wrong[0]}",
-            f"is not a rotation: the quaternion's length is {norm[wrong[0]]:.4g}, not 1",
+            f"are not a rotation: the length of the quaternion is {norm[wrong[0]]:.4g}, not 1",
             _MEND,
         )
     translation = np.stack([columns[name].astype(np.float64) for name in TRANSLATION], axis=-1)

@@ -105,7 +105,7 @@ def read_map(log: Path, ego: Array, offset: Array) -> HdMap:
         str(lane.id): lane for lane in model.lane_segments.values() if lane.lane_type != "BIKE"
     }
     if not driven:
-        raise InputError(path, "lane_segments", "holds no lane for cars", _MEND)
+        raise InputError(path, "lane_segments", "contains no lane for cars", _MEND)
     lines = {
         key: tuple(
             _line(path, f"lane_segments.{key}.{side}_lane_boundary", points, offset)
@@ -123,7 +123,7 @@ def read_map(log: Path, ego: Array, offset: Array) -> HdMap:
         outline = _coordinates(area.area_boundary, offset)[:, :2]
         if len(outline) < 3:
             field = f"drivable_areas.{name}.area_boundary"
-            raise InputError(path, field, f"has {len(outline)} points, not 3", _MEND)
+            raise InputError(path, field, f"has {len(outline)} points, 3 are needed", _MEND)
         areas.append(outline)
     city = city_of(path)
     return HdMap(
@@ -148,7 +148,9 @@ def _line(path: Path, field: str, points: list[_Point], offset: Array) -> Array:
         raise InputError(path, field, "has fewer than two distinct points", _MEND)
     length = float(np.linalg.norm(np.diff(line[:, :2], axis=0), axis=1).sum())
     if length > _LONGEST:  # it is resampled every metre
-        raise InputError(path, field, f"is {length:.0f} m long", _MEND)
+        raise InputError(
+            path, field, f"is {length:.0f} m long, longer than {_LONGEST:.0f} m", _MEND
+        )
     return line
 
 
@@ -195,9 +197,9 @@ def _check_place(path: Path, lanes: dict[str, Lane], ego: Array) -> None:
         raise InputError(
             path,
             "lane_segments",
-            f"the ego drives {distance:.0f} m beside all lanes: not the map of this log, or other "
+            f"the ego drives {distance:.0f} m away from all lanes: the map is of another log, or other "
             "coordinates",
-            "take map and poses of the same log, both in city coordinates",
+            "use the map and the poses of the same log, both in city coordinates",
         )
 
 
@@ -221,7 +223,9 @@ def _read_ground(folder: Path, offset: Array) -> GroundHeight | None:
     except ValidationError as error:
         raise validation_error(placing, error, _MEND) from None
     if not np.allclose(sim2.R, (1.0, 0.0, 0.0, 1.0), atol=1e-9) or sim2.s <= 0:
-        problem = f"a raster turned by {json.dumps(sim2.R)} or scaled by {sim2.s:g} is not known"
+        problem = (
+            f"a raster turned by {json.dumps(sim2.R)} or scaled by {sim2.s:g} is not supported"
+        )
         raise InputError(placing, "R, s", problem, _MEND)
     # A place p of the city lies in cell floor(s (p + t)), so the first centre is at 0.5 / s - t.
     cell = 1.0 / sim2.s

@@ -63,7 +63,7 @@ def check_drive(root: Path, drive: str) -> None:
     wrong = not drive or drive in (".", "..") or len(os.fsencode(drive)) > _NAME_BYTES
     if wrong or "/" in drive or "\\" in drive or "\0" in drive:
         raise InputError(
-            root, "drive", f"{drive!r} is not a name of a drive", "give its name alone"
+            root, "drive", f"{drive!r} is not a drive name", "give only the drive's name"
         )
 
 
@@ -117,7 +117,7 @@ def chosen_cameras(where: Path, there: Iterable[str], wanted: Sequence[str]) -> 
     for name in wanted:
         if name not in names:
             listed = ", ".join(names)
-            mend = f"choose from {listed}" if listed else "leave the option out"
+            mend = f"choose one of {listed}" if listed else "leave the option out"
             raise InputError(where, "cameras", f"has no camera {name!r}", mend)
     return [name for name in names if not wanted or name in wanted]
 

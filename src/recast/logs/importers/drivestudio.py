@@ -117,8 +117,8 @@ def load_drivestudio(
 def _check_is_waymo(scene: Path) -> None:
     for path in (scene / "lidar_pose", *sorted((scene / "extrinsics").glob("*_*.txt"))):
         if path.exists():
-            problem = "belongs to DriveStudio's layout of another dataset than Waymo"
-            raise InputError(path, "layout", problem, "import that dataset itself")
+            problem = "belongs to DriveStudio's layout of a dataset other than Waymo"
+            raise InputError(path, "layout", problem, "import the original dataset")
 
 
 def _camera(camera: CameraFolder, frame_times: dict[int, int]) -> CameraStream:
@@ -178,11 +178,13 @@ def _track(
 ) -> Track:
     boxes, field = instance.frame_annotations, f"{name}.frame_annotations"
     if not len(boxes.frame_idx) == len(boxes.obj_to_world) == len(boxes.box_size):
-        raise InputError(path, field, "frame_idx, obj_to_world, box_size differ in length", _MEND)
+        raise InputError(
+            path, field, "frame_idx, obj_to_world and box_size differ in length", _MEND
+        )
     unknown = next((frame for frame in boxes.frame_idx if frame not in frame_times), None)
     if unknown is not None:
         problem = f"{unknown} has no file in ego_pose"
-        raise InputError(path, f"{field}.frame_idx", problem, "take the boxes of this scene")
+        raise InputError(path, f"{field}.frame_idx", problem, "use the boxes of this scene")
     frames = np.array(boxes.frame_idx, np.int64)
     times = np.array([frame_times[frame] for frame in boxes.frame_idx], np.int64)
     twice = np.flatnonzero(np.diff(frames) <= 0)
@@ -205,7 +207,7 @@ def _track(
     wrong = ~checks.are_box_sides(size).all(axis=1)
     if wrong.any():
         i = int(np.argmax(wrong))
-        raise InputError(path, f"{field}.box_size.{i}", "is not a box's", "remove the box")
+        raise InputError(path, f"{field}.box_size.{i}", "is not a valid box size", "remove the box")
     category = CATEGORIES[instance.class_name]
     return Track(name, category, np.median(size, axis=0), Trajectory(times, poses))
 
@@ -225,7 +227,7 @@ def read_lidars(folder: Path, frame_times: dict[int, int]) -> dict[str, LidarStr
     listed = {}
     for path in sorted(folder.glob("*.bin")):
         if not NUMBER.fullmatch(path.stem) or int(path.stem) not in frame_times:
-            raise InputError(path, "file name", "is not a frame that has an ego pose", _MEND)
+            raise InputError(path, "file name", "is not a frame with an ego pose", _MEND)
         listed[int(path.stem)] = path
     if not listed:
         return {}

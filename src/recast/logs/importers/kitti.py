@@ -157,7 +157,7 @@ def _image_files(folder: Path, trigger_us: Int64Array) -> SensorFiles:
     delay = int(np.median(listed.timestamps_us - trigger_us[listed.indices]))
     if abs(delay) > LONGEST_DELAY_US:
         problem = f"are {delay / 1e6:.3f} s after the scanner's triggers of the same frames"
-        mend = "take sensors of the same drive"
+        mend = "use sensors of the same drive"
         raise InputError(folder / "timestamps.txt", "times", problem, mend)
     return replace(listed, timestamps_us=listed.timestamps_us - delay)
 
@@ -198,8 +198,8 @@ def _camera(
 
 def _require(kept: Sequence[int], paths: Sequence[Path]) -> None:
     if not kept:
-        problem = "no frame was taken while there were OXTS poses"
-        mend = "take sensors and poses of the same drive"
+        problem = "no frame lies within the times of the OXTS poses"
+        mend = "use sensors and poses of the same drive"
         raise InputError(paths[0].parents[1], "timestamps.txt", problem, mend)
 
 

@@ -61,8 +61,10 @@ def find_drive(root: Path, drive: str) -> KittiDrive:
     day = root / name[:10]
     folder, recorded = day / f"{name}_sync", day / f"{name}_extract"
     if recorded.is_dir() and (drive.endswith("_extract") or not folder.is_dir()):
-        problem = "is as recorded: images are distorted, frames of the sensors do not match"
-        mend = f"take {folder.name}, which KITTI offers as [synced+rectified data]"
+        problem = (
+            "is the raw recording: its images are distorted and its sensors are not synchronised"
+        )
+        mend = f"use {folder.name}, which KITTI offers as [synced+rectified data]"
         raise InputError(recorded, "drive", problem, mend)
     if not folder.is_dir() or drive.endswith("_extract"):
         found = (path.name for path in root.glob("????_??_??/*_sync"))
@@ -96,7 +98,9 @@ def list_frames(sensor: Path, *suffixes: str) -> SensorFiles:
     """
     paths = files_of(sensor / "data", suffixes)
     if not paths:
-        raise InputError(sensor / "data", f"*{suffixes[-1]}", "no such files", "check the download")
+        raise InputError(
+            sensor / "data", f"*{suffixes[-1]}", "there are no such files", "check the download"
+        )
     for path in paths:
         if not _FRAME.fullmatch(path.stem):
             raise InputError(path, "file name", "is not a frame number", "remove the file")
@@ -104,7 +108,7 @@ def list_frames(sensor: Path, *suffixes: str) -> SensorFiles:
     indices = np.array([int(path.stem) for path in paths], np.int64)
     twice = np.flatnonzero(np.diff(indices) == 0)
     if len(twice):
-        problem = f"is frame {indices[twice[0]]}, like {paths[twice[0] + 1].name}"
+        problem = f"is frame {indices[twice[0]]}, and so is {paths[twice[0] + 1].name}"
         raise InputError(paths[twice[0]], "file name", problem, "remove one of the two")
     times = read_timestamps(sensor / "timestamps.txt")
     if indices[-1] >= len(times):
@@ -117,7 +121,7 @@ def list_frames(sensor: Path, *suffixes: str) -> SensorFiles:
     chosen = times[indices]
     if np.any(chosen == MISSING):
         frame = int(np.argmax(chosen == MISSING))
-        problem = f"is empty, but there is {paths[frame].name} of that frame"
+        problem = f"is empty, but the frame has the file {paths[frame].name}"
         mend = "download the file again, or delete the frame to do without it"
         raise InputError(sensor / "timestamps.txt", f"line {indices[frame] + 1}", problem, mend)
     late = np.flatnonzero(np.diff(chosen) <= 0)
@@ -239,7 +243,7 @@ def _camera(values: dict[str, str], path: Path, number: str) -> tuple[PinholeCam
     width, height = _field(values, path, size, 2).tolist()
     K = projection[:, :3]
     if not (width.is_integer() and height.is_integer()):
-        raise InputError(path, size, f"{width} x {height} are not pixels", MEND)
+        raise InputError(path, size, f"{width} x {height} is not a size in pixels", MEND)
     # KITTI counts pixel centres from 0, we from 0.5.
     camera = PinholeCamera(int(width), int(height), K[0, 0], K[1, 1], K[0, 2] + 0.5, K[1, 2] + 0.5)
     with refused(path, MEND):
@@ -272,7 +276,7 @@ def _field(values: dict[str, str], path: Path, name: str, count: int) -> Array:
     except ValueError:
         raise InputError(path, name, "is not a list of numbers", MEND) from None
     if numbers.shape != (count,):
-        raise InputError(path, name, f"expected {count} numbers, found {len(numbers)}", MEND)
+        raise InputError(path, name, f"expected {count} numbers, got {len(numbers)}", MEND)
     if not np.all(np.isfinite(numbers)):
         raise InputError(path, name, "holds NaN or infinity", MEND)
     return numbers

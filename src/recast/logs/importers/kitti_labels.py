@@ -81,14 +81,16 @@ def read_tracking_labels(path: Path) -> list[LabelledTrack]:
             continue
         mend = "name a KITTI tracking label file (17 columns)"
         if len(words) < 17:
-            raise InputError(path, f"line {number}", f"{len(words)} of 17 columns", mend)
+            raise InputError(
+                path, f"line {number}", f"has {len(words)} columns, 17 are needed", mend
+            )
         try:
             frame, track = int(words[0]), int(words[1])
             values = np.array([float(word) for word in words[10:17]])
         except ValueError as error:
             raise InputError(path, f"line {number}", str(error), mend) from None
         if not 0 <= frame < MOST_FRAMES:
-            raise InputError(path, f"line {number}", f"frame {frame} is none", mend)
+            raise InputError(path, f"line {number}", f"frame {frame} is not a frame number", mend)
         with refused(path, mend):
             _check_box(f"line {number}", values[:3], values[3:])
         category = _category(words[2], path, f"line {number}")
@@ -100,8 +102,8 @@ def _check_box(where: str, size: Array, places: Array) -> None:
     """Check sides (3,), and places (..., 4) in metres with a heading in radians."""
     least, most = BOX_SIDE
     if not np.all((size >= least) & (size <= most)):
-        raise ValueError(f"{where}: a box has three sides of {least} to {most} m")
-    check_reach(f"{where}: place", places[..., :3], SENSOR_REACH)
+        raise ValueError(f"{where}: a box must have three sides of {least} to {most} m")
+    check_reach(f"{where}: position", places[..., :3], SENSOR_REACH)
     check_reach(f"{where}: heading", places[..., 3], SENSOR_REACH)
 
 
@@ -111,7 +113,7 @@ def _tracking_track(path: Path, track: int, rows: list[tuple[str, Array]]) -> La
     if np.any(np.diff(frames) == 0):
         twice = frames[np.flatnonzero(np.diff(frames) == 0)[0]]
         raise InputError(
-            path, f"track {track}", f"is twice in frame {twice}", "remove one of the two rows"
+            path, f"track {track}", f"appears twice in frame {twice}", "remove one of the two rows"
         )
     height, width, length = np.median(values[:, 1:4], axis=0)
     cos, sin, zero = np.cos(values[:, 7]), np.sin(values[:, 7]), np.zeros(len(values))
@@ -141,7 +143,7 @@ def read_tracklets(path: Path) -> list[LabelledTrack]:
     mend = "download it again"
     text = files.read_text(path, TEXT_LIMIT)
     if "<!ENTITY" in text:  # which can multiply; KITTI has none
-        raise InputError(path, "XML", "defines entities", mend)
+        raise InputError(path, "XML", "defines entities, which are not supported", mend)
     try:
         root = ElementTree.fromstring(text)
     except (ElementTree.ParseError, ValueError, RecursionError) as error:
@@ -156,7 +158,7 @@ def read_tracklets(path: Path) -> list[LabelledTrack]:
         ]
         first = _number(item, "first_frame", path, where)
         if not poses or not (first.is_integer() and 0 <= first < MOST_FRAMES):
-            raise InputError(path, where, f"{len(poses)} poses from frame {first:g} on", mend)
+            raise InputError(path, where, f"has {len(poses)} poses from frame {first:g} on", mend)
         values = np.array(poses)
         with refused(path, mend):
             _check_box(where, size, values)
@@ -180,7 +182,9 @@ def _number(element: ElementTree.Element, key: str, path: Path, where: str) -> f
     except ValueError:
         value = float("nan")
     if not np.isfinite(value):
-        raise InputError(path, f"{where}.{key}", f"is {text!r}", "download it again")
+        raise InputError(
+            path, f"{where}.{key}", f"is {text!r}, not a finite number", "download it again"
+        )
     return value
 
 
@@ -203,7 +207,7 @@ def read_labels(path: Path, frame_count: int) -> list[LabelledTrack]:
             raise InputError(
                 path,
                 f"track {track.track_id}",
-                f"frame {track.frames[-1]}, but the drive has {frame_count} frames",
+                f"has frame {track.frames[-1]}, but the drive has {frame_count} frames",
                 "name the label file of this drive",
             )
     return tracks

@@ -109,7 +109,7 @@ def turn_times(folder: Path) -> tuple[Int64Array, Int64Array, Int64Array]:
             raise InputError(
                 path,
                 "lines",
-                f"{len(times)}, but timestamps.txt has {len(trigger)}",
+                f"there are {len(times)}, but timestamps.txt has {len(trigger)}",
                 "download the three timestamp files again",
             )
     return trigger, start, end
@@ -230,24 +230,29 @@ def read_oxts(files: SensorFiles) -> Array:
         values = read_numbers(path)
         if len(values) < FIELDS:
             raise InputError(
-                path, "fields", f"{len(values)} of {FIELDS} numbers", "download the file again"
+                path,
+                "fields",
+                f"there are {len(values)} of {FIELDS} numbers",
+                "download the file again",
             )
         if not np.all(np.isfinite(values)):
             raise InputError(path, "fields", "hold NaN or infinity", "download it again")
         latitude, longitude, altitude = values[:3]
         if abs(latitude) > 89 or abs(longitude) > 180 or abs(altitude) > HIGHEST:
-            problem = f"{latitude} {longitude} {altitude} is not a place on a road"
+            problem = f"{latitude} {longitude} {altitude} is not a position on a road"
             raise InputError(path, "latitude, longitude, altitude", problem, "download it again")
         packets.append(values[:FIELDS])
     gaps = np.diff(files.timestamps_us)
     if len(gaps) == 0:
-        raise InputError(files.paths[0].parent, "packets", "only one", "download the whole drive")
+        raise InputError(
+            files.paths[0].parent, "packets", "there is only one", "download the whole drive"
+        )
     if gaps.max() > MAX_GAP_US:
         where = int(np.argmax(gaps))
         raise InputError(
             files.paths[where + 1],
             "packets before it",
-            f"are missing for {gaps[where] / 1e6:.1f} s, poses would be guesses",
+            f"are missing for {gaps[where] / 1e6:.1f} s, so the poses there are unknown",
             "download the missing oxts files",
         )
     return np.array(packets)

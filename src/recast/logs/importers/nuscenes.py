@@ -73,7 +73,7 @@ takes sweeps far from every label as unlabelled."""
 _TABLE = "sample_annotation"
 _FARTHEST = 500.0
 """Metres from the ego: no LiDAR sees farther, so such a box is of another place or frame."""
-_MEND = "take all tables from one metadata archive"
+_MEND = "use tables of the same metadata archive"
 LICENCE = "CC BY-NC-SA 4.0"
 KEY_FRAMES = "key_frames_us"
 """Member of the metadata that has the times of the key frames, in order, with blanks between."""
@@ -97,7 +97,9 @@ def load_nuscenes(
         InputError: tables or files are missing, broken or do not belong together.
     """
     if labels is not None:
-        raise InputError(labels, "labels", "nuScenes tables hold the boxes", "leave the option out")
+        raise InputError(
+            labels, "labels", "are already in the nuScenes tables", "leave the option out"
+        )
     root = Path(root)
     tables, scene = _find_scene(root, drive)
     where = {}
@@ -147,7 +149,7 @@ def _find_scene(root: Path, drive: str) -> tuple[Path, SceneRow]:
             if scene.name == drive:
                 return tables, scene
             names.append(scene.name)
-    raise unknown_drive(root, drive, names, "take a metadata archive that holds scenes")
+    raise unknown_drive(root, drive, names, "use a metadata archive that contains scenes")
 
 
 def _camera(root: Path, tables: Path, sensor: Sensor) -> CameraStream:
@@ -204,7 +206,7 @@ def read_key_tracks(
         time = times[box.sample_token]
         if time in of_instance:
             field = f"token {box.token}: sample_token"
-            problem = f"a second box of instance {box.instance_token} at one key frame"
+            problem = f"instance {box.instance_token} has a second box at this key frame"
             raise InputError(path, field, problem, _MEND)
         of_instance[time] = box
     return {
@@ -229,7 +231,7 @@ def _track(
     away = np.linalg.norm(poses[:, :3, 3] - world_from_rig.at(times)[:, :3, 3], axis=1)
     for box, distance in zip(ordered, away, strict=True):
         if not checks.are_box_sides(box.size).all():
-            problem = f"is {box.size}, not a box's"
+            problem = f"is {box.size}, not a valid box size"
             raise InputError(path, f"token {box.token}: size", problem, "remove the box")
         if distance > _FARTHEST:
             problem = f"the box is {distance:.0f} m from the ego: mixed coordinate frames"

@@ -31,7 +31,7 @@ OWN_ROOF = 1.0
 _UNIT = 1e-3
 _MEND = "unpack the split's metadata archive again"
 LONGEST_GAP_US = 1_000_000
-_MEND_POSES = "take all tables from one metadata archive"
+_MEND_POSES = "use tables of the same metadata archive"
 
 
 @dataclass(frozen=True)
@@ -103,7 +103,7 @@ def _check_frame(path: Path, frame: SampleDataRow, sensor: Sensor) -> None:
         problem = f"{sensor.name} has a second calibration within the scene"
         raise refuse("calibrated_sensor_token", problem, "use tables as published")
     if sensor.frames and frame.timestamp == sensor.frames[-1].timestamp:
-        problem = f"{frame.timestamp} is there twice for {sensor.name}"
+        problem = f"{frame.timestamp} appears twice for {sensor.name}"
         raise refuse("timestamp", problem, "use tables as published")
     formats = ("jpg", "jpeg", "png") if sensor.kind == "camera" else ("pcd", "bin")
     if frame.fileformat.lower() not in formats:
@@ -126,7 +126,7 @@ def pose_of(path: Path, row: EgoPoseRow | CalibratedSensorRow | AnnotationRow) -
     """
     length = float(np.linalg.norm(row.rotation))
     if abs(length - 1.0) > _UNIT:
-        problem = f"is not a rotation: the quaternion's length is {length:.4g}, not 1"
+        problem = f"is not a rotation: the length of the quaternion is {length:.4g}, not 1"
         raise InputError(path, f"token {row.token}: rotation", problem, _MEND)
     return se3.from_rotation_translation(se3.quat_to_matrix(row.rotation), row.translation)
 
@@ -146,11 +146,13 @@ def camera_of(tables: Path, row: CalibratedSensorRow, frames: list[SampleDataRow
         raise InputError(path, field, "is not a 3x3 matrix", _MEND)
     (fx, skew, cx), (lower, fy, cy), last = matrix
     if skew or lower or last != [0.0, 0.0, 1.0]:
-        raise InputError(path, field, f"{matrix} is not a pinhole camera without skew", _MEND)
+        raise InputError(
+            path, field, f"{matrix} is not the matrix of a pinhole camera without skew", _MEND
+        )
     width, height = frames[0].width, frames[0].height
     for frame in frames:
         if (frame.width, frame.height) != (width, height):
-            problem = f"{frame.width}x{frame.height}, the camera's first is {width}x{height}"
+            problem = f"are {frame.width}x{frame.height}, but the camera's first image is {width}x{height}"
             raise InputError(
                 tables / "sample_data.json", f"token {frame.token}: width, height", problem, _MEND
             )
@@ -209,7 +211,7 @@ def read_ego(
     path = tables / "ego_pose.json"
     ordered = sorted(rows.values(), key=lambda row: row.timestamp)
     if len({row.timestamp for row in ordered}) < 2:
-        raise InputError(path, "rows", f"{len(ordered)} of this scene, 2 are needed", _MEND_POSES)
+        raise InputError(path, "rows", f"the scene has {len(ordered)}, 2 are needed", _MEND_POSES)
     placed = np.stack([pose_of(path, row) for row in ordered])
     all_times = np.array([row.timestamp for row in ordered], np.int64)
     jump = first_jump(all_times, placed)
@@ -219,7 +221,7 @@ def read_ego(
     times, first = np.unique(all_times, return_index=True)
     gaps = np.flatnonzero(np.diff(times) > LONGEST_GAP_US)
     if len(gaps):
-        problem = f"the next pose comes {(times[gaps[0] + 1] - times[gaps[0]]) / 1e6:.1f} s later"
+        problem = f"the next pose is {(times[gaps[0] + 1] - times[gaps[0]]) / 1e6:.1f} s later"
         field = f"token {ordered[first[gaps[0]]].token}: timestamp"
         raise InputError(path, field, problem, "use a scene without the gap")
     poses = placed[first]

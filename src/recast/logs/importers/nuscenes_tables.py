@@ -139,7 +139,7 @@ def stream_rows(path: Path) -> Iterator[dict[str, Any]]:
     with disk_errors(path), path.open(encoding="utf-8-sig", errors="replace") as file:
         text, at, row = file.read(_CHUNK).lstrip(), 1, 0
         if not text.startswith("["):
-            raise InputError(path, "JSON", "does not begin a list of rows", _MEND)
+            raise InputError(path, "JSON", "does not begin with a list of rows", _MEND)
         while True:
             at = _BETWEEN_ROWS.match(text, at).end()  # type: ignore[union-attr]
             if text.startswith("]", at):
@@ -174,7 +174,7 @@ def select(
     found = []
     for number, row in enumerate(stream_rows(path)):
         if not isinstance(row.get(column), str):
-            problem = f"column {column} is missing or no text"
+            problem = f"column {column} is missing or not text"
             raise InputError(path, f"row {number}", problem, _MEND)
         if values is not None and row[column] not in values:
             continue

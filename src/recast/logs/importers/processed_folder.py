@@ -52,7 +52,7 @@ def find_scene(root: Path, drive: str, kind: str) -> Path:
         if folder.name == drive and folder.is_dir():
             return folder
     found = (path.parent.name for path in root.glob("*/ego_pose"))
-    raise unknown_drive(root, drive, found, "choose one of none here")
+    raise unknown_drive(root, drive, found, "check the path: no drive was found")
 
 
 def read_numbers(path: Path, count: int) -> Array:
@@ -69,7 +69,7 @@ def read_numbers(path: Path, count: int) -> Array:
     except ValueError:
         raise InputError(path, "numbers", "cannot be read: not plain numbers", _MEND) from None
     if numbers.shape != (count,) or not np.all(np.isfinite(numbers)):
-        problem = f"{count} finite numbers are needed, found {len(numbers)}"
+        problem = f"{count} finite numbers are needed, got {len(numbers)}"
         raise InputError(path, "numbers", problem, _MEND)
     return numbers
 
@@ -94,10 +94,10 @@ def rigid(values: Array, path: Path, field: str) -> Array:
     if not np.all(np.abs(matrix[:3, :3]) <= 2.0) or not np.all(
         np.abs(matrix[:3, 3]) <= checks.WORLD_REACH
     ):
-        raise InputError(path, field, "is not a rotation and a translation", _MEND)
+        raise InputError(path, field, "is not a rotation and translation", _MEND)
     rotation = nearest_rotation(matrix[:3, :3])
     if rotation is None or matrix[3].tolist() != [0, 0, 0, 1]:
-        raise InputError(path, field, "is not a rotation and a translation", _MEND)
+        raise InputError(path, field, "is not a rotation and translation", _MEND)
     return se3.from_rotation_translation(rotation, matrix[:3, 3])
 
 
@@ -109,7 +109,7 @@ def frame_numbers(folder: Path) -> dict[int, Path]:
     """
     paths = {int(path.stem): path for path in folder.glob("*.txt") if NUMBER.fullmatch(path.stem)}
     if len(paths) < 2:
-        raise InputError(folder, "FRAME.txt", f"{len(paths)} files, 2 are needed", _MEND)
+        raise InputError(folder, "FRAME.txt", f"there are {len(paths)} files, 2 are needed", _MEND)
     return dict(sorted(paths.items()))
 
 
@@ -158,11 +158,11 @@ def read_cameras(scene: Path) -> list[CameraFolder]:
     for path in sorted((scene / "images").glob("*")):
         parts = _IMAGE.fullmatch(path.name)
         if parts is None or int(parts[2]) >= len(CAMERAS):
-            problem = "is not FRAME_CAMERA.png or .jpg with a camera of 0 to 4"
+            problem = "is not FRAME_CAMERA.png or .jpg with a camera from 0 to 4"
             raise InputError(path, "file name", problem, "remove the file")
         images = listed.setdefault(int(parts[2]), {})
         if (other := images.setdefault(int(parts[1]), path)) != path:
-            problem = f"is the frame of {other.name}"
+            problem = f"is the same frame as {other.name}"
             raise InputError(path, "file name", problem, "remove one of the two")
     return [_camera(scene, number, listed[number]) for number in sorted(listed)]
 

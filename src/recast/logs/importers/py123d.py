@@ -66,7 +66,7 @@ def load_py123d(
             needed.
     """
     if labels is not None:
-        raise InputError(labels, "labels", "a log holds its own", "leave the option out")
+        raise InputError(labels, "labels", "are already in the py123d log", "leave the option out")
     folder = find_log(Path(root), drive)
     scene_type = _scene_type()
     for path in sorted(folder.glob("*.arrow")):  # py123d maps them into memory as they are
@@ -143,14 +143,18 @@ def find_log(root: Path, drive: str) -> Path:
     """
     logs = root / "logs"
     if not logs.is_dir():
-        raise InputError(root, "py123d data", "holds no folder logs", "name the folder that does")
+        raise InputError(
+            root, "py123d data", "has no folder logs", "name the folder that contains logs"
+        )
     known = sorted(path.parent for path in logs.rglob(SYNC))
     found = [folder for folder in known if folder.name == drive]
     if len(found) > 1:
         listed = ", ".join(str(folder.relative_to(logs)) for folder in found[:LISTED])
-        raise InputError(root, f"drive {drive}", f"may be {listed}", "take one away")
+        raise InputError(root, f"drive {drive}", f"is ambiguous: {listed}", "remove one of them")
     if not found:
-        raise unknown_drive(root, drive, (one.name for one in known), "choose one of none here")
+        raise unknown_drive(
+            root, drive, (one.name for one in known), "check the path: no drive was found"
+        )
     return found[0]
 
 
@@ -202,7 +206,9 @@ def read_map(api: Any, folder: Path, ego: Array, offset: Array) -> HdMap | None:
     lanes = {str(lane.object_id): _lane(lane, known, crossing, offset, heights) for lane in driven}
     distance = metres_beside(lanes, ego[:, :2])
     if distance > NEAR:
-        problem = f"the ego drives {distance:.0f} m beside all lanes: not the map of this drive"
+        problem = (
+            f"the ego drives {distance:.0f} m away from all lanes: the map is of another drive"
+        )
         raise InputError(folder, "map", problem, "convert the log again")
     areas = tuple(
         np.asarray(surface.shapely_polygon.exterior.coords)[:-1, :2] - offset[:2]

@@ -93,7 +93,7 @@ class Py123dImages(Timed):
             image = eight_bits(found.rgb_image)
         expected = (self.camera.height, self.camera.width, 3)
         if image.shape != expected:
-            problem = f"has an image of {image.shape}, its calibration says {expected}"
+            problem = f"has an image of {image.shape}, but its calibration says {expected}"
             raise InputError(self.folder, where, problem, _MEND)
         return image
 
@@ -176,7 +176,7 @@ class Py123dSweeps(Timed):
         mine = np.ones(len(points), bool)
         if found.is_merged:
             if found.ids is None:
-                problem = "is merged with others, and points have no ids"
+                problem = "is merged with other LiDARs, and its points have no LiDAR ids"
                 raise InputError(self.folder, where, problem, _MEND)
             mine = found.ids == int(self.lidar_id)
         mine &= are_returns(points, self.imu_from_lidar[:3, 3])
@@ -231,7 +231,7 @@ def read_tracks(
             rows = found.setdefault(str(box.attributes.track_token), [])
             if rows and rows[-1][0] == time:
                 where = f"box {box.attributes.track_token} at {time} us"
-                raise InputError(folder, where, "is there twice", "convert the log again")
+                raise InputError(folder, where, "appears twice", "convert the log again")
             rows.append((time, box))
     return {token: _track(folder, token, rows, offset) for token, rows in found.items()}
 
@@ -241,13 +241,13 @@ def _track(folder: Path, token: str, rows: list[tuple[int, Any]], offset: Array)
     sizes = np.array([[box.length, box.width, box.height] for box in boxes], np.float64)
     poses = np.stack([matrix(box.center_se3) for box in boxes])
     if not np.isfinite(poses).all() or not checks.are_box_sides(sizes).all():
-        problem = "holds a box without a place or without a size"
+        problem = "has a box without a valid position or size"
         raise InputError(folder, f"track {token}", problem, "convert the log again")
     poses[:, :3, 3] -= offset
     attributes = rows[0][1].attributes
     kind = category(attributes.label.name, attributes.default_label.name)
     if kind is None:
-        problem = f"has the label {attributes.default_label.name}, which is not known"
+        problem = f"has the label {attributes.default_label.name}, which recast does not know"
         raise InputError(folder, f"track {token}", problem, f"use one of {', '.join(CATEGORIES)}")
     times = np.array([time for time, _ in rows], np.int64)
     return Track(token, kind, np.median(sizes, axis=0), Trajectory(times, poses))

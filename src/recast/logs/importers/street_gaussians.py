@@ -126,7 +126,7 @@ def _row(path: Path, where: str, words: list[str], mend: str) -> BoxRow:
         frame = int(words[0])
         height, width, length, x, y, z, heading = (float(word) for word in words[4:11])
     except ValueError:
-        raise InputError(path, where, "holds words where numbers belong", mend) from None
+        raise InputError(path, where, "contains text where numbers are expected", mend) from None
     if not np.all(np.abs([height, width, length, x, y, z, heading]) <= checks.WORLD_REACH):
         problem = f"holds NaN or infinity, or a number not within {checks.WORLD_REACH:g}"
         raise InputError(path, where, problem, mend)
@@ -148,7 +148,7 @@ def read_tracks(path: Path, drive: Drive) -> dict[str, Track]:
             continue
         track = grouped.setdefault(row.track, {})
         if row.frame in track:
-            problem = f"track {row.track} is there twice in frame {row.frame}"
+            problem = f"track {row.track} appears twice in frame {row.frame}"
             raise InputError(path, f"{row.where}: track", problem, "keep one of them")
         track[row.frame] = row
     tracks = {}
@@ -173,9 +173,9 @@ def _check(path: Path, row: BoxRow, drive: Drive) -> None:
         raise InputError(path, f"{row.where}: class", f"{row.kind!r} is unknown", _MEND)
     if row.frame not in drive.frame_times:
         problem = f"{row.frame} has no ego_pose/{row.frame:06d}.txt"
-        raise InputError(path, f"{row.where}: frame", problem, "take the tracks of this scene")
+        raise InputError(path, f"{row.where}: frame", problem, "use the tracks of this scene")
     if not checks.are_box_sides(row.size).all():
-        raise InputError(path, f"{row.where}: size", "is not a box's", "remove the box")
+        raise InputError(path, f"{row.where}: size", "is not a valid box size", "remove the box")
     if (distance := float(np.linalg.norm(row.centre))) > FARTHEST:
         problem = f"the box is {distance:.0f} m from the ego: not in the vehicle's frame"
         raise InputError(path, f"{row.where}: centre", problem, "give boxes in the vehicle frame")

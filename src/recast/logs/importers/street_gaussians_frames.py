@@ -35,7 +35,7 @@ _DELAY_STEP_US = 1_000
 _SHORTEST_PATH = 5.0
 """Metres: an ego that stands tells nothing about times."""
 _BESIDE = 1.0
-"""Metres that a frame's pose may be beside the path of the images."""
+"""Metres that a frame's pose may be off the path of the images."""
 _MEND = "process the scene again"
 NAME = "lidar"
 RIG_FROM_LIDAR = se3.from_rotation_translation(np.eye(3), [1.43, 0.0, 2.18])
@@ -114,7 +114,7 @@ def read_drive(scene: Path, cameras: Sequence[CameraFolder]) -> Drive:
             raise InputError(scene / TIMES, f"FRAME.{path.stem}", problem, _MEND)
         beside = trajectory.at(frame_times[frame])[:3, 3] - world_from_frame[frame][:3, 3]
         if (distance := float(np.linalg.norm(beside))) > _BESIDE:
-            problem = f"is {distance:.0f} m beside the path of the images: mixed coordinate frames"
+            problem = f"is {distance:.0f} m from the path of the images: mixed coordinate frames"
             raise InputError(path, "matrix", problem, _MEND)
     return Drive(trajectory, offset, frame_times, world_from_frame, image_times)
 
@@ -151,15 +151,15 @@ def read_lidar(path: Path, drive: Drive) -> dict[str, LidarStream]:
     if not path.is_file():
         return {}
     if not is_zipfile(path):
-        raise InputError(path, "file", "is not an .npz archive; a pickle is never loaded", _CONVERT)
+        raise InputError(path, "file", "is not an .npz archive; pickles are never loaded", _CONVERT)
     with open_npz(path, _CONVERT) as arrays:
         names = npz_names(arrays)
         if names:
             _array(path, arrays, names[0])
     for name in names:
         if not NUMBER.fullmatch(name) or int(name) not in drive.frame_times:
-            problem = "is not a frame that has an ego pose"
-            raise InputError(path, f"array {name}", problem, "take the points of this scene")
+            problem = "is not a frame with an ego pose"
+            raise InputError(path, f"array {name}", problem, "use the points of this scene")
     names.sort(key=int)
     times = np.array([drive.frame_times[int(name)] for name in names], np.int64)
     sweeps = StreetGaussiansSweeps(path, tuple(names), drive)

@@ -71,7 +71,9 @@ def load_waymo(
         InputError: the file is missing or damaged, or fields are missing or unknown.
     """
     if labels is not None:
-        raise InputError(labels, "labels", "a segment holds its own", "leave the option out")
+        raise InputError(
+            labels, "labels", "are already in the Waymo segment", "leave the option out"
+        )
     path, scenario = find_drive(Path(root), drive)
     if scenario is not None or is_motion(path):
         chosen_cameras(path, (), cameras)
@@ -95,7 +97,9 @@ def load_waymo2(
         InputError: files are missing, damaged or do not belong together.
     """
     if labels is not None:
-        raise InputError(labels, "labels", "a segment holds its own", "leave the option out")
+        raise InputError(
+            labels, "labels", "are already in the Waymo segment", "leave the option out"
+        )
     segment = waymo2_segment.read_segment(find_segment(Path(root), drive))
     return driving_log(segment, "Waymo Open Dataset v2", cameras)
 
@@ -118,7 +122,9 @@ def find_drive(root: Path, drive: str) -> tuple[Path, str | None]:
         )
         if len(found) > 1:
             listed = ", ".join(str(path.relative_to(root)) for path in found[:LISTED])
-            raise InputError(root, f"drive {name}", f"may be {listed}", "name the folder of one")
+            raise InputError(
+                root, f"drive {name}", f"is ambiguous: {listed}", "name the folder of one of them"
+            )
         if found:
             return found[0], scenario if colon else None
     others = (path.name for path in (*root.glob("*.tfrecord*"), *root.glob("*/*.tfrecord*")))
@@ -212,7 +218,7 @@ def _ego(segment: Segment, times: Int64Array) -> tuple[Trajectory, Array]:
         late = sorted_times[int(np.argmax(gaps)) + 1]
         frame = next(f for f in segment.frames if f.start_us + LONGEST_GAP_US > late)
         raise frame.place.inside("pose").error(
-            f"comes {gaps.max() / 1e6:.1f} s after the one before", "use a segment without the gap"
+            f"comes {gaps.max() / 1e6:.1f} s after the pose before", "use a segment without the gap"
         )
     poses = np.stack([known[time] for time in sorted_times.tolist()])
     offset: Array = poses[0, :3, 3].copy()
@@ -238,7 +244,7 @@ def read_tracks(segment: Segment, world_from_global: Array) -> dict[str, Track]:
         seen = set()
         for label in frame.labels:
             if label.label_id in seen:
-                raise label.place.error(f"{label.label_id} is there twice")
+                raise label.place.error(f"{label.label_id} appears twice")
             seen.add(label.label_id)
             x, y = label.vehicle_from_box[:2, 3]
             time = int(scan_times(np.arctan2(y, x), frame.start_us))

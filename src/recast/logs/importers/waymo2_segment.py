@@ -93,7 +93,7 @@ def _poses(table: Table) -> dict[int, tuple[Place, Array]]:
         with row.place.errors():
             time = frame_time(row.integer(TIME), TIME)
             if time in poses:
-                raise FieldError(TIME, f"{time} is there twice")
+                raise FieldError(TIME, f"{time} appears twice")
             poses[time] = row.place, row.pose("world_from_vehicle")
     if not poses:
         raise Place(table.path, "rows").error("there are none")
@@ -104,14 +104,14 @@ def _key(row: Row, column: str, choice: Choice, found: Mapping[int, Mapping]) ->
     """Frame and sensor of a row."""
     time, name = _frame_of(row, found), row.choice(column, choice)
     if name in found[time]:
-        raise FieldError(column, f"{name} is there twice at {time}")
+        raise FieldError(column, f"{name} appears twice at {time}")
     return time, name
 
 
 def _frame_of(row: Row, frames: Mapping[int, Any]) -> int:
     time = row.integer(TIME)
     if time not in frames:
-        raise FieldError(TIME, f"{time} is of no frame in vehicle_pose")
+        raise FieldError(TIME, f"{time} is not the time of a frame in vehicle_pose")
     return time
 
 
@@ -140,7 +140,9 @@ def _lasers(components: Components, times: Iterable[int]) -> _ByFrame[LaserEntry
         for name, returns in sensors.items():
             pose = poses[time].get(name, (None,))[0]
             if name == _TOP and pose is None:
-                raise returns[0].place.error("of TOP has no row in lidar_pose at the frame's time")
+                raise returns[0].place.error(
+                    "of the LiDAR TOP has no row in lidar_pose at the frame's time"
+                )
             found[time][name] = LaserEntry(returns, pose)
     return found
 

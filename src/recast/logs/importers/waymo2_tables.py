@@ -86,7 +86,7 @@ class Row:
         if isinstance(value, str) and value in choice.names.values():
             return value
         if not isinstance(value, int):
-            raise FieldError(self.column(field), f"is {value!r}, no {choice.name}")
+            raise FieldError(self.column(field), f"is {value!r}, not a {choice.name}")
         return choice.of(value, self.column(field))
 
     def numbers(self, field: str) -> Array:
@@ -138,7 +138,7 @@ class Table:
         columns = [SEGMENT, *(self.column(field) for field in fields)]
         file = ParquetRows(self.path, columns, MEND)
         if file.first_rows[-1] > ROW_LIMIT:
-            problem = f"there are {file.first_rows[-1]}, {ROW_LIMIT} are read at most"
+            problem = f"there are {file.first_rows[-1]}, more than {ROW_LIMIT}"
             raise Place(self.path, "rows").error(problem)
         index = 0
         for group in range(len(file.first_rows) - 1):
@@ -153,7 +153,9 @@ class Table:
         with row.place.errors():
             name = row.text(SEGMENT)
             if name != self.path.stem:
-                raise FieldError(SEGMENT, f"is {name!r}, the file is of {self.path.stem!r}")
+                raise FieldError(
+                    SEGMENT, f"is {name!r}, but the file is of segment {self.path.stem!r}"
+                )
 
 
 @dataclass(frozen=True)
@@ -197,7 +199,12 @@ def find_segment(root: Path, drive: str) -> Components:
     found = [split for split in splits if (split / "vehicle_pose" / f"{name}.parquet").is_file()]
     if len(found) > 1:
         listed = ", ".join(split.name for split in found)
-        raise InputError(root, f"drive {name}", f"is in {listed}", "name the folder of one split")
+        raise InputError(
+            root,
+            f"drive {name}",
+            f"is ambiguous: {listed}",
+            "name the folder of one of these splits",
+        )
     if found:
         return Components(found[0], name)
     others = (path.stem for split in splits for path in split.glob("vehicle_pose/*.parquet"))
@@ -253,7 +260,7 @@ def read_lasers(components: Components) -> dict[str, LaserCalibration]:
 def _new_name(row: Row, column: str, choice: Choice, known: Mapping[str, Any]) -> str:
     name = row.choice(column, choice)
     if name in known:
-        raise FieldError(column, f"{name} is there twice")
+        raise FieldError(column, f"{name} appears twice")
     return name
 
 

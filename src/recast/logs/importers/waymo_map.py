@@ -62,11 +62,13 @@ def hd_map(features: Sequence[Message], shift: Array, ego: Array) -> HdMap:
     ribbons = {key: _ribbon(centres[key], messages[key], lines) for key in messages}
     driven = {key: lane for key, lane in messages.items() if lane.get("type") != "bike"}
     if not driven:
-        raise FieldError("map_features", "hold no lane for cars")
+        raise FieldError("map_features", "contain no lane for cars")
     lanes = {key: _lane(key, driven, centres[key], *ribbons[key]) for key in driven}
     distance = metres_beside(lanes, ego)
     if distance > NEAR:
-        problem = f"the ego drives {distance:.0f} m beside all lanes: not the map of this drive"
+        problem = (
+            f"the ego drives {distance:.0f} m away from all lanes: the map is of another drive"
+        )
         raise FieldError("map_features", problem)
     edges = [lines[feature["id"]] for feature in features if feature.get("road_edge")]
     driveways = [
@@ -121,7 +123,9 @@ def _ribbon(centre: Array, lane: Message, lines: Mapping[int, Array]) -> tuple[A
                 continue
             first, last = part.get("lane_start_index", 0), part.get("lane_end_index", 0)
             if not 0 <= first <= last < len(centre):
-                problem = f"runs from point {first} to {last} of {len(centre)}"
+                problem = (
+                    f"runs from point {first} to {last}, but the lane has {len(centre)} points"
+                )
                 raise FieldError(part.where, problem)
             points = shapely.points(centre[first : last + 1, :2])
             distance = shapely.distance(points, shapely.LineString(line[:, :2]))
@@ -148,7 +152,9 @@ def _lane(key: str, lanes: Mapping[str, Message], centre: Array, left: Array, ri
     message = lanes[key]
     mph = message.get("speed_limit_mph", 0.0)
     if not 0 <= mph < np.inf:
-        raise FieldError(message.path("speed_limit_mph"), f"is {mph:g}")
+        raise FieldError(
+            message.path("speed_limit_mph"), f"is {mph:g}, not a finite speed of 0 or more"
+        )
     successors = dict.fromkeys(str(other) for other in message["exit_lanes"])
     return Lane(
         lane_id=key,

@@ -41,10 +41,10 @@ def load_scenario(path: Path, scenario: str | None, licence: str) -> DrivingLog:
         features = decode_features(message["map_features"])
         seconds = message["timestamps_seconds"]
         if not np.all((seconds >= 0) & (seconds < checks.LATEST_US / 1e6)):  # also NaN
-            raise FieldError("timestamps_seconds", "are not all times")
+            raise FieldError("timestamps_seconds", "are not all valid times")
         times = np.rint(seconds * 1e6).astype(np.int64)
         if len(times) < 2 or np.any(np.diff(times) <= 0):
-            raise FieldError("timestamps_seconds", "are not two or more, one after the other")
+            raise FieldError("timestamps_seconds", "must be two or more and increase")
         ego, offset = _ego(message, times)
         tracks = _tracks(message, times, ego, offset)
         map_of_scenario = hd_map(features, -offset, ego.poses[:, :2, 3]) if features else None
@@ -69,7 +69,7 @@ def _choose(path: Path, scenario: str | None) -> Record:
         if scenario is None or names[-1] == scenario:
             chosen = chosen or record
     if scenario is None and len(names) > 1:
-        problem = f"{len(names)} scenarios are in the file"
+        problem = f"the file has {len(names)} scenarios"
     elif chosen is None:
         problem = f"{scenario} is not in the file"
     else:
@@ -82,10 +82,12 @@ def _ego(message: Message, times: Int64Array) -> tuple[Trajectory, Array]:
     """The rig on the ground, level, near the origin; and the offset taken off."""
     index = message["sdc_track_index"]
     if not 0 <= index < len(message["tracks"]):
-        raise FieldError("sdc_track_index", f"is {index} of {len(message['tracks'])} tracks")
+        raise FieldError(
+            "sdc_track_index", f"is {index}, but there are {len(message['tracks'])} tracks"
+        )
     seen, poses, sizes = _states(message["tracks"][index], len(times))
     if np.count_nonzero(seen) < 2:
-        raise FieldError(f"tracks[{index}].states", "of the ego: fewer than two are valid")
+        raise FieldError(f"tracks[{index}].states", "fewer than two states of the ego are valid")
     box_from_rig = np.tile(np.eye(4), (len(sizes), 1, 1))
     box_from_rig[:, 0, 3] = -CENTRE_AHEAD
     box_from_rig[:, 2, 3] = -sizes[:, 2] / 2
@@ -110,7 +112,7 @@ def _tracks(
         poses[:, :3, 3] -= offset
         name = str(track["id"])
         if name in tracks:
-            raise FieldError(track.path("id"), f"{name} is there twice")
+            raise FieldError(track.path("id"), f"{name} appears twice")
         trajectory = Trajectory(times[seen][kept], poses[kept])
         category = CATEGORIES[track.get("object_type", "unset")]
         tracks[name] = Track(name, category, np.median(sizes[kept], axis=0), trajectory)
@@ -121,7 +123,7 @@ def _states(track: Message, count: int) -> tuple[Array, Array, Array]:
     """Which states are valid (T,), and of those the poses (V, 4, 4) and sizes (V, 3)."""
     states = track["states"]
     if len(states) != count:
-        raise FieldError(track.path("states"), f"are {len(states)} for {count} timestamps")
+        raise FieldError(track.path("states"), f"there are {len(states)} for {count} timestamps")
     seen = np.array([bool(state.get("valid", 0)) for state in states])
     names = ("center_x", "center_y", "center_z", "heading", "length", "width", "height")
     rows = np.array(
@@ -129,6 +131,6 @@ def _states(track: Message, count: int) -> tuple[Array, Array, Array]:
     ).reshape(-1, len(names))
     fits = checks.are_box_sides(rows[:, 4:]).all()
     if not fits or not np.all(np.abs(rows) <= checks.WORLD_REACH):  # also NaN
-        raise FieldError(track.path("states"), "hold a box without a place or without a size")
+        raise FieldError(track.path("states"), "contain a box without a valid position or size")
     poses = se3.from_rotation_translation(se3.rotation_z(rows[:, 3]), rows[:, :3])
     return seen, poses, rows[:, 4:]

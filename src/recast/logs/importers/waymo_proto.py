@@ -39,7 +39,7 @@ class Choice:
         """The name of `number`; raises FieldError where it has none."""
         if number not in self.names:
             known = ", ".join(f"{key} {name}" for key, name in self.names.items())
-            raise FieldError(where, f"is {number}, no {self.name} ({known})")
+            raise FieldError(where, f"is {number}, not a {self.name} ({known})")
         return self.names[number]
 
 
@@ -251,4 +251,4 @@ def decode(kind: str, data: bytes, where: str = "") -> Message:
     try:
         return Message(_classes()[f"waymo.{kind}"].FromString(data), kind, where)
     except message.DecodeError:
-        raise FieldError(where or kind, "is not a protocol buffer, or cut off") from None
+        raise FieldError(where or kind, "is not a protocol buffer, or is cut off") from None

@@ -150,7 +150,7 @@ def beams(calibration: LaserCalibration, rows: int) -> Array:
     listed = calibration.inclinations
     if len(listed):
         if len(listed) != rows:
-            raise ValueError(f"{rows} rows, but {len(listed)} beam inclinations")
+            raise ValueError(f"has {rows} rows, but {len(listed)} beam inclinations")
         return listed[::-1]
     share = (np.arange(rows)[::-1] + 0.5) / rows
     return calibration.lowest + share * (calibration.highest - calibration.lowest)
@@ -240,7 +240,9 @@ class WaymoSweeps(Timed):
         points, intensities, columns = [], [], []
         for part, image in zip(laser.returns, images, strict=True):
             if image.shape != images[0].shape:
-                raise part.place.error(f"is {image.shape}, the first return {images[0].shape}")
+                raise part.place.error(
+                    f"is {image.shape}, but the first return is {images[0].shape}"
+                )
             try:
                 placed, row, column = range_image_points(image, self.calibration, poses)
             except ValueError as error:
@@ -306,5 +308,5 @@ def _pixel_poses(laser: LaserEntry, shape: tuple[int, ...]) -> Float32Array | No
     if not np.all(np.abs(poses) <= checks.WORLD_REACH):
         raise laser.pixel_poses.place.error(f"holds a pose not within {checks.WORLD_REACH:g} m")
     if poses.shape[:2] != shape:
-        raise laser.pixel_poses.place.error(f"is {poses.shape[:2]}, the range image {shape}")
+        raise laser.pixel_poses.place.error(f"is {poses.shape[:2]}, but the range image is {shape}")
     return poses

@@ -126,10 +126,10 @@ def _read_record(path: Path, file: BinaryIO, size: int, number: int) -> Record:
         if number == 0:
             file.seek(0)
             kind = kind_of_file(file.read(512))
-            problem, mend = "this is not an (uncompressed) TFRecord file", "name a .tfrecord file"
+            problem, mend = "the file is not an uncompressed TFRecord", "name a .tfrecord file"
             problem += f" but {kind}" if kind else ""
         else:
-            problem, mend = "does not fit its checksum", MEND
+            problem, mend = "does not match its checksum", MEND
         raise InputError(path, f"{where}, length", problem, mend)
     offset = file.tell()
     missing = length + _FOOTER.size - (size - offset)
@@ -137,7 +137,7 @@ def _read_record(path: Path, file: BinaryIO, size: int, number: int) -> Record:
         raise InputError(path, f"{where}, data", f"are cut off, {missing} bytes are missing", MEND)
     data = file.read(length)
     if masked_crc(data) != _FOOTER.unpack(file.read(_FOOTER.size))[0]:
-        raise InputError(path, f"{where}, data", "do not fit their checksum", MEND)
+        raise InputError(path, f"{where}, data", "do not match their checksum", MEND)
     return Record(number, offset, data)
 
 
@@ -177,7 +177,7 @@ def read_segment(path: Path) -> Segment:
 def _check_same_segment(context: Message | None, message: Message) -> None:
     name = message["context"]["name"]
     if context is not None and name != context["name"]:
-        problem = f"is {name!r}, the frames before are of {context['name']!r}"
+        problem = f"is {name!r}, but the frames before are of {context['name']!r}"
         raise FieldError("context.name", problem)
 
 
@@ -227,7 +227,7 @@ def _frame(place: Place, record: Record, message: Message) -> FrameEntry:
 def _new_name(message: Message, known: Mapping[str, object]) -> str:
     name: str = message["name"]
     if name in known:
-        raise FieldError(message.path("name"), f"{name} is there twice")
+        raise FieldError(message.path("name"), f"{name} appears twice")
     return name
 
 
@@ -342,7 +342,7 @@ class PackedMatrix:
             message = decode("MatrixFloat", data)
             values, dims = message["data"], message["shape"]["dims"].tolist()
         except FieldError as error:
-            raise self.place.error(f"holds no matrix: {error}") from None
+            raise self.place.error(f"does not contain a matrix: {error}") from None
         try:
             return shaped(values, dims, channels)
         except ValueError as error:

@@ -45,7 +45,7 @@ def rigid(values: Array, where: str) -> Array:
     try:
         checks.check_poses(where, pose, checks.WORLD_REACH)
     except ValueError:
-        raise FieldError(where, "is not a rotation and a translation") from None
+        raise FieldError(where, "is not a rotation and translation") from None
     return pose
 
 
@@ -92,18 +92,18 @@ def laser_calibration(
         extrinsic: (4, 4).
 
     Raises:
-        FieldError: inclinations do not ascend, or one is no angle.
+        FieldError: inclinations do not increase, or one is not an angle.
     """
     field, values = inclinations
     if len(values):
         if not np.all(np.diff(values) > 0):
-            raise FieldError(field, "do not ascend")
+            raise FieldError(field, "must increase")
         if not np.all(np.abs(values) <= np.pi):
             raise FieldError(field, "are not all within pi radians")
         return LaserCalibration(values, float(values[0]), float(values[-1]), extrinsic)
     (_, lowest), (field, highest) = ends.items()
     if not -np.pi <= lowest < highest <= np.pi:
-        problem = f"{highest:g} is not above the minimum {lowest:g}, or no angle"
+        problem = f"{highest:g} is not above the minimum {lowest:g}, or not an angle"
         raise FieldError(field, problem)
     return LaserCalibration(values, lowest, highest, extrinsic)
 
@@ -125,11 +125,11 @@ def image_entry(
     """
     for field, value in seconds.items():
         if not abs(value) <= checks.LATEST_US / 1e6:  # also NaN
-            raise FieldError(field, f"is {value}")
+            raise FieldError(field, f"is {value}, not a valid time")
     stamp, exposure, trigger, done = seconds.values()
     time_us = round(stamp * 1e6)
     if not _EARLIEST_US <= time_us - start_us <= _LATEST_US:
-        problem = f"is {(time_us - start_us) / 1e6:g} s after the frame's time"
+        problem = f"is {(time_us - start_us) / 1e6:g} s after the time of the frame"
         raise FieldError(next(iter(seconds)), problem)
     first, last = trigger + exposure / 2, done - exposure / 2
     return ImageEntry(jpeg, pose, time_us, round(first * 1e6), round(last * 1e6))
@@ -147,7 +147,7 @@ def label_entry(place: Place, label_id: str, category: str, box: Mapping[str, fl
         is_size = 3 <= i < 6
         fits = shortest <= value <= longest if is_size else abs(value) <= checks.SENSOR_REACH
         if not fits:  # also NaN
-            raise FieldError(field, f"is {value:g}")
+            raise FieldError(field, f"is {value:g}, which is out of range")
     values = np.array(list(box.values()), np.float64)
     return LabelEntry(place, label_id, category, placed_box(values[:3], values[6]), values[3:6])
 
