@@ -7,6 +7,7 @@ import importlib
 import shutil
 import subprocess
 import sys
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -131,3 +132,57 @@ def test_a_log_that_lies_nowhere_has_no_store(names: dict[str, Any], tmp_path: P
     assert recast.make_actor(log, "0", **box).track_id == "0"
     assert recast.make_actor(log, "0", **box).track_id == "0"
     assert [path.name for path in tmp_path.iterdir()] == ["store"]
+
+
+WRONG: dict[str, tuple[Callable[[dict[str, Any]], object], str]] = {
+    "log of None": (lambda n: recast.load_log(None), "load_log: source: is None; give"),
+    "log of a number": (lambda n: recast.load_log(3), "load_log: source: is 3; give"),
+    "log of a scene": (lambda n: recast.load_log(n["scene"].origin), "log.json: is missing"),
+    "argument": (lambda n: recast.make_actor(n["log"], 0, genrator="x"), "did you mean generator"),
+    "setting": (lambda n: recast.reconstruct(n["log"], iteratoins=3), "did you mean iterations"),
+    "value": (lambda n: recast.reconstruct(n["log"], iterations="many"), "iterations"),
+    "preset": (lambda n: recast.reconstruct(n["log"], preset="3dgs"), "one of streetgs, omnire"),
+    "preset alike": (lambda n: recast.reconstruct(n["log"], preset="omnier"), "mean omnire?"),
+    "config": (lambda n: recast.reconstruct(n["log"], config={}), "give a SceneConfig or None"),
+    "no such path": (lambda n: recast.reconstruct("nowhere"), "nowhere: log folder: does not ex"),
+    "folder of a log": (lambda n: recast.load_scene(n["folder"] / "log"), "scene.json"),
+    "scene of None": (lambda n: recast.load_scene(None), "scene: NoneType: is NoneType"),
+    "actor": (lambda n: recast.load_actor(n["folder"] / "log"), "actor.json"),
+    "actor of None": (lambda n: recast.load_actor(None), "folder: is None; give a path"),
+    "track": (lambda n: recast.make_actor(n["log"], 9), "track 9: is not in the log"),
+    "track of None": (lambda n: recast.make_actor(n["log"], None), "track: is None; give a text"),
+    "views": (lambda n: recast.make_actor(n["log"], "0", views="2"), "views: is '2'; give an int"),
+    "generator": (lambda n: recast.make_actor(n["log"], "0", generator="tmplate"), "mean template"),
+    "arguments": (lambda n: recast.evaluate(n["log"], n["scene"]), "scene: is an object of type"),
+    "rollout": (lambda n: recast.score(n["log"]), "rollout: is an object of type DrivingLog; give"),
+    "map": (lambda n: recast.score(n["rollout"], 3), "map: is 3; give a HdMap or a DrivingLog"),
+    "report": (lambda n: recast.write_report(n["log"], "x"), "give a Rollout or its folder"),
+    "grid": (lambda n: recast.run_grid(None, "x"), "scenes: is None; give a list of texts"),
+    "grid's out": (lambda n: recast.run_grid("a", 7), "out: is 7; give a path"),
+    "planner": (lambda n: recast.run_grid("urban-straight:3", "x", planners="idm-folower"), "idm-"),
+    "planners": (lambda n: recast.run_grid("urban-straight:3", "x", planers="idm"), "n planners?"),
+    "make_planner": (lambda n: recast.make_planner(None), "planner: is None; give"),
+    "motion": (lambda n: recast.motion(3), "motion"),
+    "actors": (lambda n: recast.Simulator(n["log"], actors=["0"]), "actors: is an object of type"),
+    "steps": (lambda n: recast.Simulator(n["log"], actors={0: "cut-in"}, steps="9"), "an integer"),
+    "sim's log": (lambda n: recast.Simulator(None), "Simulator: log: is None; give a DrivingLog"),
+    "written": (lambda n: recast.write_log(None, "x"), "write_log: log: is None; give"),
+}
+
+
+@pytest.mark.parametrize("name", WRONG)
+def test_wrong_arguments_are_refused_by_name(name: str, names: dict[str, Any]) -> None:
+    call, line = WRONG[name]
+    with pytest.raises(InputError) as refused:
+        call(names)
+    assert line in str(refused.value) and "\n" not in str(refused.value)
+
+
+def test_paths_and_numbers_stand_for_what_they_name(names: dict[str, Any]) -> None:
+    folder = names["folder"] / "log"
+    scene = recast.reconstruct(str(folder), iterations=20, scale=0.5)  # type: ignore[arg-type]
+    assert scene.origin == names["scene"].origin
+    recast.Simulator(folder, scene.origin, {0: "advancing"}, steps=1)  # type: ignore[arg-type,dict-item]
+    car = names["folder"] / "car.ply"
+    assert recast.make_actor(folder, 0, generator=car, axes="x,z").track_id == "0"  # type: ignore[arg-type]
+    assert recast.score(names["rollout"], folder).values["nc"].value == 1.0  # type: ignore[arg-type]

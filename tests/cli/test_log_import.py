@@ -88,6 +88,35 @@ def silent_importer(root: Path, drive: str, labels: Path | None = None) -> None:
     """One that returns nothing."""
 
 
+def raising_importer(root: Path, drive: str) -> DrivingLog:
+    """An importer whose images cannot be read."""
+    return own_importer(root / {}["poses"], drive)  # type: ignore[index]
+
+
+def lacking_importer(root: Path, drive: str) -> DrivingLog:
+    """An importer whose file is not there."""
+    (root / "poses.txt").read_text()
+    return own_importer(root, drive)
+
+
+@pytest.mark.parametrize(
+    ("name", "problem"),
+    [
+        ("raising_importer", "raises KeyError: 'poses', test_log_import.py line "),
+        ("lacking_importer", "raises FileNotFoundError: [Errno 2]"),
+    ],
+)
+def test_what_an_importer_raises_is_one_line(
+    name: str, problem: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert _run_own(name, tmp_path / "log") == 2
+    line = _line(capsys)
+    assert line.startswith(f"recast: importer {__name__}:{name}: ") and problem in line
+    assert list(tmp_path.iterdir()) == []
+    assert _run_own(name, tmp_path / "log", "--verbose") == 2
+    assert "Traceback" in capsys.readouterr().err
+
+
 def test_options_that_an_importer_does_not_know_are_refused(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -105,8 +105,11 @@ def test_options_are_given_to_code_that_takes_them() -> None:
         ("cup_shelf:Cap", r"cup_shelf.py does not define 'Cap'; did you mean cup_shelf:Cup\?"),
         ("cup_shelf:empty", "made object, which lacks pour, size; return a cup; see cups.Cup for"),
         ("cup_shelf:itself", "made the class Cup; return a cup"),
-        ("cup_shelf:failing", r"cannot be made \(RuntimeError: out of clay\)"),
-        ("cup_shelf:leaving", r"cannot be made \(SystemExit: 3\)"),
+        (
+            "cup_shelf:failing",
+            r"cannot be made \(RuntimeError: out of clay, cup_shelf.py line 11\)",
+        ),
+        ("cup_shelf:leaving", r"cannot be made \(SystemExit: 3, cup_shelf.py line 12\)"),
         ("cup_shelf:value", "cannot be called; name a class or a function"),
         ("cup_shelf:none", "cannot be imported: .*cup_shelf.py does not define 'none'"),
         ("no_such_module:x", r"cannot be imported \(ModuleNotFoundError.*; run in the folder"),

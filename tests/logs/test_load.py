@@ -90,9 +90,9 @@ def test_an_importer_of_the_user(importer: Any) -> None:
         ("data", {"refine": False}, "load_log: importer: is missing"),
         ("data", {"importer": own}, "importer: own: needs the name of a drive"),
         ("s3://data", {"importer": own, "drive": "x"}, "cannot read s3://data; name a local f"),
-        (3, {"importer": own, "drive": "x"}, "cannot read int"),
+        (3, {"importer": own, "drive": "x"}, "source: is 3; give a path"),
         ("data", {"importer": "kiti", "drive": "x"}, "kiti: is not known; did you mean kitti"),
-        ("data", {"importer": 3, "drive": "x"}, "importer: int: is int, which lacks __call__"),
+        ("data", {"importer": 3, "drive": "x"}, "importer: 3: is not known"),
         ("data", {"importer": invalid, "drive": "x"}, "name: .* holds half a character"),
     ],
 )

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from recast.actors.observation import MaskQuality
 from recast.arrays import Array, Mask
-from recast.core.foreign import ForeignCode, read_only
+from recast.core.foreign import ForeignCode, read_only, reported
 from recast.geometry import PinholeCamera, boxes, se3
 
 _REACH = 0.06  # shares of the vehicle's extent in the image: how far it may reach beyond the hull
@@ -76,7 +76,8 @@ def run_segmenter(segmenter: Segmenter, target: SegmentationTarget) -> Segmentat
     Raises:
         ValueError: the alpha is not (H, W) uint8 of the crop's size.
     """
-    with ForeignCode(f"segmenter {type(segmenter).__name__}").call("segment"):
+    who = f"segmenter {type(segmenter).__name__}"
+    with reported(who, "segment", segmenter), ForeignCode(who).call("segment"):
         found = segmenter.segment(read_only(target))
     segmentation = found if isinstance(found, Segmentation) else Segmentation(found)
     alpha = np.array(segmentation.alpha)

@@ -21,6 +21,7 @@ from recast.actors.mesh import MESH_SUFFIXES, MeshGenerator, files_of_mesh
 from recast.actors.observation import Observation
 from recast.actors.splat_files import SplatGenerator, holds_gaussians
 from recast.core import files
+from recast.core.arguments import checked
 from recast.core.errors import InputError
 from recast.core.images import decode_image
 from recast.core.records import Record, read_record
@@ -83,6 +84,7 @@ def save_actor(actor: Actor, folder: str | Path) -> None:
         files.write_json(partial / ACTOR_FILE, record.model_dump(mode="json"))
 
 
+@checked()
 def load_actor(folder: str | Path) -> Actor:
     """Read an actor folder.
 

@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+import os
 import random
 import signal
 import sys
+import sysconfig
 import threading
+import traceback
 import warnings
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import fields, is_dataclass
 from functools import cached_property
 from pathlib import Path
+from types import FunctionType
 from typing import Any, NoReturn, TypeVar
 
 import numpy as np
@@ -20,6 +24,11 @@ from recast.core.errors import InputError
 
 Value = TypeVar("Value")
 
+_LIBRARIES = (
+    *{sysconfig.get_path(name) + os.sep for name in ("stdlib", "platstdlib", "purelib", "platlib")},
+    str(Path(__file__).parents[1]) + os.sep,
+)
+"""Folders of code that is not a user's."""
 _SIGNALS = (signal.SIGINT, signal.SIGTERM)
 
 
@@ -121,6 +130,43 @@ class ForeignCode:
                 problem = f"ends the program ({type(error).__name__}: {error})"
                 mend = "raise an exception that says what is wrong"
                 raise InputError(self.who, what, problem, mend) from error
+
+
+@contextmanager
+def reported(who: str, what: str, code: object) -> Iterator[None]:
+    """Raise what a user's code raises as an `InputError` with the line that raised it.
+
+    Args:
+        who: name of the part, such as "importer mine:load".
+        what: the call, such as the path that it reads.
+        code: function or object; if it is one of recast's, its exceptions are faults of recast.
+    """
+    try:
+        yield
+    except InputError:
+        raise
+    except Exception as error:
+        module = code.__module__ if isinstance(code, FunctionType) else type(code).__module__
+        if module.startswith("recast."):
+            raise
+        problem = f"raises {type(error).__name__}: {error}{place_of(error)}"
+        hint = "correct that code; recast --verbose shows the traceback"
+        raise InputError(who, what, problem, hint) from error
+
+
+def place_of(error: BaseException) -> str:
+    """The line of a user's module where an exception came from, such as ", planner.py line 3"."""
+    if isinstance(error, SyntaxError):
+        return ""  # its text has the line
+    frames = [
+        (frame.filename, frame.lineno)
+        for frame in traceback.extract_tb(error.__traceback__)
+        if not frame.filename.startswith("<")
+    ]
+    users = [frame for frame in frames if not frame[0].startswith(_LIBRARIES)]
+    for name, line in (users or frames)[-1:]:
+        return f", {Path(name).name} line {line}"
+    return ""
 
 
 def _refers_to_read_only(error: Exception) -> bool:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import importlib
 import inspect
 import os
-import traceback
 from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field
@@ -85,7 +84,7 @@ class Registry:
         """
         if not isinstance(value, str | os.PathLike):
             return self._checked(value, type(value).__name__, "is")
-        from recast.core.foreign import process_kept  # here, as it needs numpy
+        from recast.core.foreign import place_of, process_kept  # here, as it needs numpy
 
         try:
             with process_kept(seed=0):
@@ -96,7 +95,7 @@ class Registry:
             raise InputError(
                 self.kind,
                 os.fspath(value),
-                f"cannot be made ({type(error).__name__}: {error})",
+                f"cannot be made ({type(error).__name__}: {error}{place_of(error)})",
                 "name a class or function that works when called without arguments",
             ) from error
         return self._checked(part, os.fspath(value), "made")
@@ -179,7 +178,7 @@ class Registry:
         return code
 
     def _imported(self, path: str, name: str) -> Any:
-        from recast.core.foreign import process_kept
+        from recast.core.foreign import place_of, process_kept
 
         module, _, attribute = path.partition(":")
         if not module.startswith("recast."):  # what it does to torch is put back only if it is here
@@ -192,7 +191,7 @@ class Registry:
         except KeyboardInterrupt:
             raise
         except BaseException as error:
-            reason, hint = f"{error}{_place_of(error)}", "correct that module"
+            reason, hint = f"{error}{place_of(error)}", "correct that module"
             if not module:
                 reason, hint = str(error), "give module:attribute"
             elif isinstance(error, ModuleNotFoundError) and f"{module}.".startswith(
@@ -253,16 +252,6 @@ class Registry:
         if self.protocol:
             mend += f"; see {self.protocol} for what it has"
         raise InputError(self.kind, name, what, mend)
-
-
-def _place_of(error: BaseException) -> str:
-    """The line of a user's module where an exception came from, such as ", planner.py line 3"."""
-    if isinstance(error, SyntaxError):
-        return ""  # its text has the line
-    for frame in reversed(traceback.extract_tb(error.__traceback__)):
-        if not frame.filename.startswith("<frozen"):
-            return f", {os.path.basename(frame.filename)} line {frame.lineno}"  # noqa: PTH119
-    return ""
 
 
 def _called(code: Callable[..., Any], options: Mapping[str, Any]) -> Any:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from pathlib import Path
 from reprlib import Repr
 from typing import Any, TypeVar
@@ -9,7 +10,7 @@ from typing import Any, TypeVar
 from pydantic import BaseModel, ConfigDict, ValidationError
 
 from recast.core import files
-from recast.core.errors import InputError
+from recast.core.errors import InputError, nearest
 
 Model = TypeVar("Model", bound=BaseModel)
 
@@ -73,10 +74,21 @@ def validated(where: str | Path, value: Any, model: type[Model], mend: str) -> M
         raise InputError(where, "JSON", f"cannot be read ({error})", mend) from None
 
 
-def validation_error(where: str | Path, error: ValidationError, mend: str) -> InputError:
-    """The first fault of a pydantic check as the error that users see."""
+def validation_error(
+    where: str | Path, error: ValidationError, mend: str, fields: Iterable[str] = ()
+) -> InputError:
+    """The first fault of a pydantic check as the error that users see.
+
+    Args:
+        where: file, or name of the settings.
+        error: what pydantic raised.
+        mend: hint, unless a field is unknown and one of `fields` is spelled alike.
+        fields: names that may stand in place of an unknown one.
+    """
     first = error.errors()[0]
     field = ".".join(str(part) for part in first["loc"]) or "record"
+    if first["type"] == "extra_forbidden" and (near := nearest(field, fields)):
+        return InputError(where, field, "is not a known name", f"did you mean {near}?")
     shown = _SHORT.repr(first["input"])
     shown = shown if len(shown) <= 60 else shown[:57] + "..."
     return InputError(where, field, f"{first['msg']} (found {shown})", mend)

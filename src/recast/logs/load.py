@@ -16,9 +16,10 @@ from typing import Any
 
 from upath import UPath
 
+from recast.core.arguments import checked
 from recast.core.errors import InputError
 from recast.core.files import alone_in, atomic_folder, disk_errors
-from recast.core.foreign import ForeignCode
+from recast.core.foreign import ForeignCode, reported
 from recast.core.names import member
 from recast.core.plugins import IMPORTERS
 from recast.core.progress import Progress
@@ -36,6 +37,7 @@ _VERSIONS = ("ETag", "etag", "md5Hash", "content_md5", "LastModified", "mtime", 
 """What file systems call that which tells one version of a file from another, the best first."""
 
 
+@checked()
 def load_log(
     source: str | Path | UPath | DrivingLog,
     *,
@@ -108,7 +110,8 @@ def _imported(
         shown = root if isinstance(root, str) else type(root).__name__
         raise InputError("importer", name, f"cannot read {shown}", "name a local folder")
     _check_call(name, load, drive, given)
-    with ForeignCode(f"importer {name}").call(os.fspath(root)):
+    who = f"importer {name}"
+    with reported(who, os.fspath(root), load), ForeignCode(who).call(os.fspath(root)):
         log = load(Path(root), **given) if drive is None else load(Path(root), drive, **given)
     if not isinstance(log, DrivingLog):
         problem = f"returned {type(log).__name__} in place of a DrivingLog"

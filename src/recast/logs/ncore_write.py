@@ -232,7 +232,7 @@ def _encoded(stream: CameraStream, index: int) -> tuple[bytes, str]:
         raise InputError(
             f"cameras[{stream.name!r}]",
             f"images[{index}]",
-            f"is {image.shape} {image.dtype}, the intrinsics are for {camera.width}x{camera.height}",
+            f"is {image.shape} {image.dtype}, not uint8 of {camera.width}x{camera.height}",
             "give images and intrinsics of the same size",
         )
     buffer = io.BytesIO()

@@ -10,6 +10,7 @@ import numpy as np
 from pydantic import field_validator
 
 from recast.core import files, records
+from recast.core.arguments import checked
 from recast.core.errors import InputError
 from recast.core.progress import Progress
 from recast.geometry import PinholeCamera
@@ -29,6 +30,7 @@ WriteProgress = Progress
 """Called with the images and sweeps written so far, and with all there are."""
 
 
+@checked()
 def write_log(log: DrivingLog, path: str | Path, progress: WriteProgress | None = None) -> None:
     """Write `log` to the new folder `path`; it appears whole or not at all.
 

@@ -225,7 +225,8 @@ def resolve_config(
             {**values, **_scenes(values, arms, base, scene_config_file, scene_options)}
         )
     except ValidationError as error:
-        raise validation_error("options", error, "give a value in range") from None
+        names = {**RunConfig.model_fields, **SceneConfig.model_fields}
+        raise validation_error("options", error, "give a value in range", names) from None
 
 
 def _scenes(

@@ -2,6 +2,8 @@
 
 What takes long is kept in a store and found again: `store/` beside the log's folder, unless another
 is named. A log that lies in no folder has no store; its scenes and actors are made each time.
+
+Every function also takes the folder of a log, scene or rollout in place of the object.
 """
 
 from __future__ import annotations
@@ -18,10 +20,11 @@ from rich.console import Console
 from recast.actors import Actor, load_actor
 from recast.actors.insert import require_model
 from recast.core import Artefact, Store, folder_hash, open_store
+from recast.core.arguments import checked
 from recast.core.errors import InputError
 from recast.core.plugins import SCENES
 from recast.evaluation import RolloutMetrics, rollout_metrics
-from recast.logs import DrivingLog, map_of, write_log
+from recast.logs import DrivingLog, HdMap, load_log, map_of, write_log
 from recast.pipeline.actor import ActorMakers
 from recast.pipeline.arms import OWN_STREET
 from recast.pipeline.bench import resolve_bench, run_closed_loop
@@ -49,11 +52,13 @@ from recast.scene import (
 )
 from recast.scene.importers import IMPORT_FILE
 from recast.scene.run import CONFIG_FILE
-from recast.simulation import Rollout
+from recast.simulation import Rollout, load_rollout
 
 Place = str | Path | Store
+_READERS = {DrivingLog: load_log, StreetScene: SCENES.resolve, Rollout: load_rollout}
 
 
+@checked(_READERS)
 def reconstruct(
     log: DrivingLog,
     *,
@@ -104,6 +109,7 @@ def load_scene(source: Any) -> StreetScene:
     return SCENES.resolve(source)
 
 
+@checked(_READERS)
 def make_actor(
     log: DrivingLog,
     track: str,
@@ -161,6 +167,7 @@ def make_actor(
         return load_actor(made.path / ACTOR_FOLDER)
 
 
+@checked(_READERS)
 def evaluate(scene: StreetScene, log: DrivingLog, out: str | Path | None = None) -> SceneEvaluation:
     """Score a scene on the images of its log that were held out of its training.
 
@@ -176,12 +183,13 @@ def evaluate(scene: StreetScene, log: DrivingLog, out: str | Path | None = None)
     return evaluate_scene(scene, log, _config_of(scene), out)
 
 
-def score(rollout: Rollout, map: Any = None) -> RolloutMetrics:
+@checked(_READERS)
+def score(rollout: Rollout, map: HdMap | DrivingLog | None = None) -> RolloutMetrics:
     """Score a rollout: NC, DAC, TTC, R_c, COM and their variants, each with its reason.
 
     Args:
-        map: lanes and drivable area; None for those of the log that the rollout was run on in this
-            process.
+        map: lanes and drivable area, or the log that has them; None for those of the log that the
+            rollout was run on in this process.
 
     Raises:
         InputError: the rollout was read from disk, and no map is given.
@@ -192,6 +200,8 @@ def score(rollout: Rollout, map: Any = None) -> RolloutMetrics:
     if map is None and rollout.origin is not None:
         setup = rollout.origin.setup
         map = setup.hdmap or map_of(setup.log)
+    if isinstance(map, DrivingLog):
+        map = map_of(map)
     if map is None:
         raise InputError(
             rollout.name,
@@ -202,6 +212,7 @@ def score(rollout: Rollout, map: Any = None) -> RolloutMetrics:
     return rollout_metrics(rollout, map)
 
 
+@checked(_READERS)
 def write_report(result: Rollout | str | Path, out: str | Path) -> Path:
     """Write a rollout, or the folder of a run, as a page with pictures, plots and films.
 
@@ -224,6 +235,7 @@ def write_report(result: Rollout | str | Path, out: str | Path) -> Path:
     return report_run(result, out)
 
 
+@checked(_READERS)
 def run_grid(
     scenes: Sequence[str],
     out: str | Path,

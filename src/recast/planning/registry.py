@@ -6,6 +6,7 @@ import re
 from pathlib import Path
 
 from recast import weights
+from recast.core.arguments import checked
 from recast.core.errors import InputError
 from recast.core.plugins import PLANNERS
 from recast.planning.types import Planner
@@ -23,6 +24,7 @@ NEURONCAP_PREFIX = "neuroncap:"
 """Before the address of a program that plans, see `recast.protocols.neuroncap`."""
 
 
+@checked()
 def make_planner(planner: str | Path | Planner, device: str = "auto") -> Planner:
     """Create a planner, or return the one given.
 

@@ -159,4 +159,6 @@ def resolve_config(
         base = {} if preset is None else preset_values(preset, asked.iterations)
         return SceneConfig.model_validate(base | named)
     except ValidationError as error:
-        raise validation_error("options", error, "give a value in range") from None
+        raise validation_error(
+            "options", error, "give a value in range", SceneConfig.model_fields
+        ) from None

@@ -5,6 +5,7 @@ from __future__ import annotations
 from importlib.resources import as_file, files
 from pathlib import Path
 
+from recast.core.arguments import checked
 from recast.core.errors import InputError
 from recast.simulation.actor_motion import AnyMotion, is_motion
 from recast.simulation.scenario import Scenario, ScriptedMotion
@@ -72,6 +73,7 @@ def parse_motions(name: str) -> tuple[ScriptedMotion, ...]:
     return own
 
 
+@checked()
 def motion(name: str | Path | AnyMotion | Scenario) -> AnyMotion | Scenario:
     """What an actor shall do, by name.
 

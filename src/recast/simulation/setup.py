@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import math
+import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, TypedDict, cast
 
 from recast.core.errors import InputError
+from recast.core.plugins import SCENES
 from recast.dynamics import PACIFICA, VehicleParameters
 from recast.logs.hdmap import HdMap
 from recast.logs.types import DrivingLog, Track
@@ -224,6 +226,8 @@ def as_renderer(
         if cameras:
             raise InputError("Simulator", "cameras", "are given without a scene", "give a scene")
         return None
+    if isinstance(scene, str | os.PathLike):
+        scene = SCENES.resolve(scene)
     if hasattr(scene, "render") and hasattr(scene, "mounts"):
         return cast(SensorRenderer, scene)
     if not hasattr(scene, "background") or not hasattr(scene, "actors"):

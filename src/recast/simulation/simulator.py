@@ -12,12 +12,14 @@ from typing import TYPE_CHECKING, Self, Unpack
 import numpy as np
 
 from recast.arrays import Array, Image
+from recast.core.arguments import checked
 from recast.core.errors import InputError
 from recast.core.foreign import ForeignCode, read_only
 from recast.dynamics import EgoState
 from recast.dynamics import state as ego
 from recast.geometry import se2
 from recast.logs.checks import WORLD_REACH
+from recast.logs.load import load_log
 from recast.logs.types import DrivingLog
 from recast.planning import Plan, PlannerInput, PlanningContext
 from recast.planning.cameras import require_cameras
@@ -98,6 +100,7 @@ class Simulator:
 
     _replay = False
 
+    @checked({DrivingLog: load_log})
     def __init__(
         self,
         log: DrivingLog,

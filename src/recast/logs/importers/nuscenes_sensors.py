@@ -152,7 +152,8 @@ def camera_of(tables: Path, row: CalibratedSensorRow, frames: list[SampleDataRow
     width, height = frames[0].width, frames[0].height
     for frame in frames:
         if (frame.width, frame.height) != (width, height):
-            problem = f"are {frame.width}x{frame.height}, but the camera's first image is {width}x{height}"
+            size, first = f"{frame.width}x{frame.height}", f"{width}x{height}"
+            problem = f"are {size}, but the camera's first image is {first}"
             raise InputError(
                 tables / "sample_data.json", f"token {frame.token}: width, height", problem, _MEND
             )
