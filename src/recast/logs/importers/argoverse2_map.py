@@ -197,8 +197,8 @@ def _check_place(path: Path, lanes: dict[str, Lane], ego: Array) -> None:
         raise InputError(
             path,
             "lane_segments",
-            f"the ego drives {distance:.0f} m away from all lanes: the map is of another log, or in "
-            "other coordinates",
+            f"the ego drives {distance:.0f} m away from all lanes: the map is of another log, or "
+            "in other coordinates",
             "use the map and the poses of the same log, both in city coordinates",
         )
 
