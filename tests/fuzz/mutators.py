@@ -7,13 +7,13 @@ reader's first check would see nearly all of them.
 
 from __future__ import annotations
 
-import copy
 import gzip
 import io
 import json
 import pickle
 import re
 import struct
+import zipfile
 import zlib
 from collections.abc import Callable
 from typing import Any
@@ -87,6 +87,7 @@ VALUES: tuple[Any, ...] = (
     "A" * 300,
     "nan",
     "<script>",
+    "\ud800",
     [],
     {},
     [[]],
@@ -448,28 +449,102 @@ def mutate_pickle(data: bytes, rng: Rng) -> bytes:
     return pickle.dumps(tree, int(rng.integers(6)))
 
 
+def mutate_jpeg(data: bytes, rng: Rng) -> bytes:
+    """One segment before the pixels of a JPEG, such as sizes, tables and EXIF."""
+    at, segments = 2, []
+    while data[at + 1] != 0xDA:  # start of scan
+        end = at + 2 + int.from_bytes(data[at + 2 : at + 4], "big")
+        segments.append(data[at:end])
+        at = end
+    which = int(rng.integers(len(segments)))
+    body = mutate_bytes(segments[which][4:], rng)[:65_000]
+    segments[which] = segments[which][:2] + (len(body) + 2).to_bytes(2, "big") + body
+    return data[:2] + b"".join(segments) + data[at:]
+
+
+def mutate_tiff(data: bytes, rng: Rng) -> bytes:
+    """Type, count or value of one entry in the first directory of a TIFF."""
+    order = "<" if data[:2] == b"II" else ">"
+    (at,) = struct.unpack_from(order + "I", data, 4)
+    (count,) = struct.unpack_from(order + "H", data, at)
+    kind, place = choose(rng, (("H", 2), ("I", 4), ("H", 8), ("I", 8)))
+    out, value = bytearray(data), choose(rng, (*INTEGERS, *range(2, 10)))
+    entry = at + 2 + 12 * int(rng.integers(count))
+    struct.pack_into(order + kind, out, entry + place, value % 256 ** struct.calcsize(kind))
+    return bytes(out)
+
+
 def mutate_spz(data: bytes, rng: Rng) -> bytes:
-    """The fields of an SPZ file in gzip, packed again; else the numbers of its header."""
+    """Bytes inside of the streams of an SPZ, packed again: one of gzip, or several of zstd."""
     if data[:2] == b"\x1f\x8b":
-        return gzip.compress(mutate_bytes(gzip.decompress(data), rng), 1)
-    return mutate_array(data[:64], rng, "<u4") + data[64:]
+        return gzip.compress(mutate_bytes(gzip.decompress(data), rng))
+    (at,) = struct.unpack_from("<I", data, 16)
+    table = [list(entry) for entry in struct.iter_unpack("<2Q", data[at : at + 16 * data[15]])]
+    end = at + 16 * len(table)
+    streams = []
+    for length, _ in table:
+        streams.append(data[end : end + length])
+        end += length
+    which = int(rng.integers(len(table)))
+    plain = pa.decompress(streams[which], table[which][1], "zstd", asbytes=True)
+    plain = mutate_array(plain, rng, "u1") if rng.random() < 0.7 else mutate_bytes(plain, rng)
+    streams[which] = pa.compress(plain, "zstd", asbytes=True)
+    size = table[which][1] if rng.random() < 0.5 else len(plain)
+    table[which] = [len(streams[which]), size]
+    return data[:at] + b"".join(struct.pack("<2Q", *entry) for entry in table) + b"".join(streams)
+
+
+def mutate_zip(data: bytes, rng: Rng) -> bytes:
+    """One member of an archive, damaged as a file of its name; checksums are put right."""
+    with zipfile.ZipFile(io.BytesIO(data)) as archive:
+        members = {name: archive.read(name) for name in archive.namelist()}
+    name = choose(rng, sorted(members))
+    members[name] = mutate(name, members[name], rng)
+    out = io.BytesIO()
+    with zipfile.ZipFile(out, "w") as archive:
+        for name, member in members.items():
+            archive.writestr(name, member)
+    return out.getvalue()
 
 
 def mutate_message(data: bytes, rng: Rng) -> bytes:
-    """Values of a sensorsim request."""
-    from google.protobuf.json_format import Error, MessageToDict, ParseDict
+    """A field of a message AggregatedRenderRequest, or of one in it: changed, dropped, repeated."""
+    from recast.protocols.alpasim.messages import parse
 
-    from recast.protocols.alpasim.messages import message, parse
+    whole = parse("AggregatedRenderRequest", data)
+    places: list[tuple[Any, Any]] = []
 
-    tree = MessageToDict(parse("RGBRenderRequest", data))
-    for _ in range(20):
-        try:
-            made = ParseDict(mutate_tree(copy.deepcopy(tree), rng), message("RGBRenderRequest"))
-        except Error:  # a value that no message can hold
-            continue
-        encoded: bytes = made.SerializeToString()
-        return encoded
-    return mutate_bytes(data, rng)
+    def walk(node: Any) -> None:
+        for field in node.DESCRIPTOR.fields:
+            places.append((node, field))
+            if field.message_type is not None:
+                value = getattr(node, field.name)
+                for inner in value if hasattr(value, "add") else [value]:
+                    if hasattr(value, "add") or node.HasField(field.name):
+                        walk(inner)
+
+    walk(whole)
+    node, field = choose(rng, places)
+    value = getattr(node, field.name)
+    if rng.random() < 0.2:
+        node.ClearField(field.name)
+    elif hasattr(value, "extend") and len(value) and rng.random() < 0.5:
+        value.append(choose(rng, value))
+    elif field.message_type is not None:
+        (value.add() if hasattr(value, "add") else value).SetInParent()
+    else:
+        bits = {field.CPPTYPE_UINT64: 64, field.CPPTYPE_UINT32: 32, field.CPPTYPE_BOOL: 1}
+        number: Any = choose(rng, INTEGERS) % 2 ** bits.get(field.cpp_type, 31)
+        if field.cpp_type in (field.CPPTYPE_DOUBLE, field.CPPTYPE_FLOAT):
+            number = choose(rng, FLOATS)
+        elif field.cpp_type == field.CPPTYPE_STRING:
+            word = choose(rng, WORDS)
+            number = word if field.type == field.TYPE_BYTES else word.decode(errors="replace")
+        if hasattr(value, "extend"):
+            value[:] = [*value[:-1], number]
+        else:
+            setattr(node, field.name, number)
+    return bytes(whole.SerializeToString())
 
 
 BY_SUFFIX: dict[str, Mutator] = {
@@ -478,12 +553,20 @@ BY_SUFFIX: dict[str, Mutator] = {
     ".txt": mutate_text,
     ".csv": mutate_text,
     ".xml": mutate_text,
+    ".xosc": mutate_text,
+    ".xodr": mutate_text,
+    ".usda": mutate_text,
     ".npy": mutate_npy,
     ".safetensors": mutate_safetensors,
     ".ply": mutate_ply,
     ".feather": mutate_table,
     ".parquet": mutate_table,
     ".png": mutate_png,
+    ".jpg": mutate_jpeg,
+    ".tif": mutate_tiff,
+    ".spz": mutate_spz,
+    ".npz": mutate_zip,
+    ".pb": mutate_message,
     ".pth": mutate_checkpoint,
     ".ckpt": mutate_checkpoint,
     ".pkl": mutate_pickle,
@@ -492,9 +575,6 @@ BY_SUFFIX: dict[str, Mutator] = {
     ".obj": mutate_text,
     ".mtl": mutate_text,
     ".glb": mutate_glb,
-    ".spz": mutate_spz,
-    ".usda": mutate_text,
-    ".pb": mutate_message,
     ".bin": lambda data, rng: mutate_array(data, rng, "<f4"),
 }
 
@@ -513,6 +593,7 @@ def mutate(name: str, data: bytes, rng: Rng) -> bytes:
             RuntimeError,
             struct.error,
             pa.ArrowException,
+            zipfile.BadZipFile,
         ):
             pass  # a file that is not of the kind its name says
     return mutate_bytes(data, rng)
