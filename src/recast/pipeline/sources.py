@@ -31,11 +31,11 @@ from recast.trellis import RECAST_MINI, recast_mini
 
 RECIPES = {
     "log": 2,
-    "actor": 7,
-    "refine": 3,
+    "actor": 8,
+    "refine": 4,
     "turntable": 1,
-    "scene": 3,
-    "evaluation": 2,
+    "scene": 4,
+    "evaluation": 3,
     "truth": 4,
     "rollout": 6,
     "scene-level": 3,
