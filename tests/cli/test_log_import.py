@@ -74,7 +74,7 @@ def test_unknown_cameras_are_refused_with_those_there_are(
 ) -> None:
     assert _imported(drive, tmp_path / "log", "--cameras", "image_02", "front") == 2
     line = capsys.readouterr().err
-    assert "'front'; choose from image_00, image_02, image_03" in " ".join(line.split())
+    assert "'front'; choose one of image_00, image_02, image_03" in " ".join(line.split())
     assert line.count("\n") == 1
     assert not (tmp_path / "log").exists()
 

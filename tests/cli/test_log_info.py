@@ -113,7 +113,7 @@ def test_what_can_be_replaced_comes_before_what_cannot() -> None:
     assert [track.usable for track in found] == [True, True, False, False, False]
     assert [track.why.split(";")[0] for track in found[2:]] == [
         f"has {FEWEST_POINTS - 1} LiDAR points, {FEWEST_POINTS} are needed",
-        "is in no image",
+        "is not visible in any image",
         "is not a car, van, truck or bus",
     ]
 
@@ -129,7 +129,7 @@ def test_what_was_measured_and_what_is_odd_is_printed(
     text = " ".join(_printed(tmp_path / "log", 80, capsys, monkeypatch))
     text = " ".join(text.split())
     assert "measured: rig leans 0.0°, faces 0.0° off its motion" in text
-    assert "warning: tracks: 2 of 2 tracks are wider or higher than long" in text
+    assert "warning: tracks: 2 of 2 tracks are wider or higher than they are long" in text
     assert main(["log", "info", str(tmp_path / "log"), "--json"]) == 0
     rows = json.loads(capsys.readouterr().out)
     measured = [row for row in rows if row["table"] == "plausibility"]

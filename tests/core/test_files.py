@@ -123,7 +123,7 @@ def test_what_is_no_text_file_is_one_clear_line(tmp_path: Path) -> None:
     (tmp_path / "latin").write_bytes(b'{"a": "\xff"}')
     (tmp_path / "loop").symlink_to(tmp_path / "loop")
     faults = {"latin": "utf-8", "loop": "link", ".": "is a folder", "none": "is missing"}
-    faults |= {"latin/below": "no folder", "a\0b": "NUL", "a" * 300: "too long"}
+    faults |= {"latin/below": "not a folder", "a\0b": "NUL", "a" * 300: "too long"}
     for name, said in faults.items():
         with pytest.raises(InputError, match=said):
             files.read_json(tmp_path / name)

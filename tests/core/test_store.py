@@ -84,7 +84,7 @@ def test_a_record_that_leads_out_of_its_folder_is_refused(tmp_path: Path) -> Non
     record = json.loads((made.folder / "artefact.json").read_text())
     record["files"]["../../../victim"] = {"size": 1, "hash": "0"}
     (made.folder / "artefact.json").write_text(json.dumps(record))
-    with pytest.raises(InputError, match="no file inside"):
+    with pytest.raises(InputError, match="not a file inside"):
         Store(tmp_path / "store").find("scenes", INPUTS)
 
 

@@ -172,7 +172,7 @@ def test_lpips_weights_that_are_refused(tmp_path: Path, capsys: pytest.CaptureFi
     refused(good | {"features.3.weight": torch.zeros(192, 64, 3, 3)}, r"shape \(192, 64, 3, 3\)")
     refused(good | {"features.6.bias": torch.full((384,), torch.nan)}, "not finite")
     refused({"a": torch.zeros(2)}, "of no known network")
-    refused(good | {"epoch": 3}, "no table of tensors")
+    refused(good | {"epoch": 3}, "not a table of tensors")
     refused(
         {"features.0.weight": Malicious()}, "print, which is not a tensor and is never unpickled"
     )

@@ -60,7 +60,7 @@ def test_the_cameras_named_are_imported(
     with pytest.raises(InputError) as raised:
         importer(tmp_path / "none", cameras=[last, "periscope"])
     assert raised.value.problem == "has no camera 'periscope'"
-    assert raised.value.mend == f"choose from {', '.join(whole.cameras)}"
+    assert raised.value.mend == f"choose one of {', '.join(whole.cameras)}"
     assert not (tmp_path / "none").exists()
 
 
@@ -76,7 +76,7 @@ def test_files_of_other_cameras_need_not_be_there(tmp_path: Path) -> None:
     shutil.rmtree(tmp_path / "samples" / "CAM_FRONT")
     with pytest.raises(InputError, match="is missing under"):
         import_drive("nuscenes", tmp_path, tiny_nuscenes.SCENE, tmp_path / "log")
-    with pytest.raises(InputError, match="has no camera 'CAM_BACK'; choose from CAM_FRONT"):
+    with pytest.raises(InputError, match="has no camera 'CAM_BACK'; choose one of CAM_FRONT"):
         import_drive(
             "nuscenes", tmp_path, tiny_nuscenes.SCENE, tmp_path / "log", cameras=["CAM_BACK"]
         )

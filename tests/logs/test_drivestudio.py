@@ -116,7 +116,7 @@ def _lidar_value(column: int, value: float) -> Damage:
         ),
         (
             _boxes(lambda b: b["box_size"].pop()),
-            f"{INFO}: 0.frame_annotations: frame_idx, obj_to_world, box_size differ in length",
+            f"{INFO}: 0.frame_annotations: frame_idx, obj_to_world and box_size differ in length",
         ),
         (
             _boxes(lambda b: b["frame_idx"].__setitem__(3, 99)),
@@ -128,7 +128,7 @@ def _lidar_value(column: int, value: float) -> Damage:
         ),
         (
             _boxes(lambda b: b["box_size"].__setitem__(3, [1, 0, 1])),
-            f"{INFO}: 0.frame_annotations.box_size.3: is not a box's",
+            f"{INFO}: 0.frame_annotations.box_size.3: is not a valid box size",
         ),
         (
             _boxes(lambda b: b["obj_to_world"].__setitem__(3, np.eye(4).tolist())),
@@ -136,18 +136,21 @@ def _lidar_value(column: int, value: float) -> Damage:
         ),
         (
             _boxes(lambda b: b["obj_to_world"].__setitem__(3, np.ones((4, 4)).tolist())),
-            f"{INFO}: 0.frame_annotations.obj_to_world.3: is not a rotation and a translation",
+            f"{INFO}: 0.frame_annotations.obj_to_world.3: is not a rotation and translation",
         ),
         (
             lambda s: tiny.write_matrix(s / "ego_pose/005.txt", np.eye(4)),
             "ego_pose/005.txt: matrix: is 26218 m from the frame before: mixed",
         ),
-        (lambda s: shutil.rmtree(s / "ego_pose"), "ego_pose: FRAME.txt: 0 files, 2 are needed"),
+        (
+            lambda s: shutil.rmtree(s / "ego_pose"),
+            "ego_pose: FRAME.txt: there are 0 files, 2 are needed",
+        ),
         (lambda s: (s / "ego_pose/005.txt").unlink(), "images/005_0.jpg: frame: 5 has no file"),
         (lambda s: (s / "extrinsics/1.txt").unlink(), "extrinsics/1.txt: file: is missing"),
         (
             lambda s: tiny.write_matrix(s / "extrinsics/000_0.txt", np.eye(4)),
-            "extrinsics/000_0.txt: layout: belongs to DriveStudio's layout of another dataset",
+            "extrinsics/000_0.txt: layout: belongs to DriveStudio's layout of a dataset other",
         ),
         (
             lambda s: (s / "lidar/003.bin").write_bytes(b"\0" * 60),
@@ -159,11 +162,11 @@ def _lidar_value(column: int, value: float) -> Damage:
         ),
         (
             lambda s: tiny.write_matrix(s / "ego_pose/005.txt", np.diag([1.0, 1.0, -1.0, 1.0])),
-            "ego_pose/005.txt: matrix: is not a rotation and a translation",
+            "ego_pose/005.txt: matrix: is not a rotation and translation",
         ),
         (
             lambda s: tiny.write_matrix(s / "ego_pose/005.txt", np.full((4, 4), 1e300)),
-            "ego_pose/005.txt: matrix: is not a rotation and a translation",
+            "ego_pose/005.txt: matrix: is not a rotation and translation",
         ),
         (
             lambda s: (s / "ego_pose/005.txt").write_bytes(b"\xff" * 9),
@@ -175,7 +178,7 @@ def _lidar_value(column: int, value: float) -> Damage:
         ),
         (
             _boxes(lambda b: b["box_size"].__setitem__(3, [4, 1e9, 1])),
-            f"{INFO}: 0.frame_annotations.box_size.3: is not a box's",
+            f"{INFO}: 0.frame_annotations.box_size.3: is not a valid box size",
         ),
         (_lidar_value(4, 1e9), "lidar/003.bin: point 4: is NaN or infinite, or not within 100000"),
         (_lidar_value(11, np.inf), "lidar/003.bin: point 4: is NaN or infinite"),

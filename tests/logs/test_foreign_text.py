@@ -58,7 +58,9 @@ def test_an_empty_line_of_kitti_is_a_scan_that_is_missing(tmp_path: Path) -> Non
 def test_a_scan_without_its_time_is_refused(tmp_path: Path) -> None:
     drive = tiny_drive.write_tiny_drive(tmp_path)
     _without_line(drive.folder / TIMES, 4)
-    with pytest.raises(InputError, match=r"line 5: is empty, but there is 0000000004\.bin"):
+    with pytest.raises(
+        InputError, match=r"line 5: is empty, but the frame has the file 0000000004\.bin"
+    ):
         _kitti(tmp_path)
 
 
@@ -162,7 +164,7 @@ def _images(log: DrivingLog) -> list[Path]:
 def test_two_images_of_a_frame_are_refused(tmp_path: Path) -> None:
     scene = tiny_processed.write_drivestudio(tmp_path)
     (scene / "images/003_0.png").write_bytes((scene / "images/003_0.jpg").read_bytes())
-    with pytest.raises(InputError, match=r"003_0\.png: file name: is the frame of 003_0\.jpg"):
+    with pytest.raises(InputError, match=r"003_0\.png: file name: is the same frame as 003_0\.jpg"):
         load_log(tmp_path, importer="drivestudio", drive=tiny_processed.SCENE)
 
 
@@ -172,6 +174,6 @@ def test_drives_of_kitti_as_recorded_are_refused_with_a_clear_word(
 ) -> None:
     drive = tiny_drive.write_tiny_drive(tmp_path)
     drive.folder.rename(drive.folder.with_name(f"{tiny_drive.DRIVE}_extract"))
-    wanted = rf"_extract: drive: is as recorded: .*; take {tiny_drive.DRIVE}_sync"
+    wanted = rf"_extract: drive: is the raw recording: .*; use {tiny_drive.DRIVE}_sync"
     with pytest.raises(InputError, match=wanted):
         load_log(tmp_path, importer="kitti", drive=name)

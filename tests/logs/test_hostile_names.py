@@ -108,7 +108,11 @@ def test_the_tables_hold_names_whole_and_no_control_characters(width: int) -> No
 
 @pytest.mark.parametrize(
     ("name", "message"),
-    [("", "a name has 1 to 1000"), ("x" * 1001, "a name has 1 to 1000"), ("\ud800", "surrogate")],
+    [
+        ("", "a name must have 1 to 1000"),
+        ("x" * 1001, "a name must have 1 to 1000"),
+        ("\ud800", "surrogate"),
+    ],
     ids=ascii,
 )
 def test_names_that_a_store_cannot_hold_are_refused_at_once(
@@ -137,7 +141,7 @@ def test_ncore_reads_sensors_of_any_name(tmp_path: Path) -> None:
 def test_an_import_looks_for_cameras_in_the_drive_only(
     name: str, tiny_drive: TinyDrive, tmp_path: Path
 ) -> None:
-    with pytest.raises(InputError, match="choose from image_02") as error:
+    with pytest.raises(InputError, match="choose one of image_02") as error:
         import_drive("kitti", tiny_drive.root, DRIVE, tmp_path / "log", cameras=[name])
     assert str(error.value).isprintable()
     assert list(tmp_path.iterdir()) == []

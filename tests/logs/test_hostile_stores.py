@@ -132,7 +132,7 @@ def _set(part: str, field: str, value: object) -> Callable[[Meta], object]:
     ("change", "message"),
     [
         (_shape, "does not match its"),
-        (_many_chunks, "is not in one piece"),
+        (_many_chunks, "is not stored in one piece"),
         (_infinite_shape, "has shape"),
         (_set("intensity", "dtype", "|O"), "has type '|O'"),
         (_set("intensity", "dtype", [["a", "<f4"]]), "has type"),
@@ -141,9 +141,9 @@ def _set(part: str, field: str, value: object) -> Callable[[Meta], object]:
         (_set("intensity", "filters", [{"id": "pickle"}]), "is encoded as"),
         (_set("intensity", "compressor", {"id": "zlib", "level": 1}), "is encoded as"),
         (_set("intensity", "compressor", None), "does not match its"),
-        (_set("intensity", "chunks", [1, 1]), "is not in one piece"),
+        (_set("intensity", "chunks", [1, 1]), "is not stored in one piece"),
         (lambda meta: meta.pop(".zgroup"), "cannot be read"),
-        (lambda meta: meta.update({"a/.zarray": 3}), "no object of objects"),
+        (lambda meta: meta.update({"a/.zarray": 3}), "is not an object of objects"),
         (lambda meta: meta.update({"a/.zarray": {}}), "cannot be read ('dtype')"),
     ],
 )
@@ -185,16 +185,16 @@ def test_what_unpacks_to_gigabytes_is_refused(folder: Path) -> None:
     ("stores", "message"),
     [
         (3, "component_stores: cannot be read"),
-        ([], "names no files"),
-        ([{"path": [MAIN]}], "names no files"),
-        ([{"path": MAIN}, {"path": MAIN}], "names a store twice"),
+        ([], "lists no files"),
+        ([{"path": [MAIN]}], "lists no files"),
+        ([{"path": MAIN}, {"path": MAIN}], "lists a store twice"),
         ([{"path": MAIN}, {"path": f"./{MAIN}"}], "NCore stores: cannot be read"),
-        ([{"path": "../other.zarr.itar"}], "no file inside of log/"),
-        ([{"path": "/etc/passwd"}], "no file inside of log/"),
-        ([{"path": "a\0b"}], "no file inside of log/"),
+        ([{"path": "../other.zarr.itar"}], "not a file inside of log/"),
+        ([{"path": "/etc/passwd"}], "not a file inside of log/"),
+        ([{"path": "a\0b"}], "not a file inside of log/"),
         ([{"path": "log.json"}], "is too short"),
         ([{"path": "none.zarr.itar"}], "file: is missing"),
-        ([{"path": "."}], "no file inside of log/"),
+        ([{"path": "."}], "not a file inside of log/"),
     ],
 )
 def test_a_listing_names_files_of_its_own_folder_once(
@@ -239,7 +239,7 @@ def test_damaged_images_are_one_line(folder: Path) -> None:
         (whole[key][:-30], "image: cannot be decoded"),
         (b"no image", "image: cannot be decoded"),
         (_png(30_000, 30_000), "is 30000x30000, more than 134 megapixels"),
-        (_png(9_500, 9_500), "is 9500x9500, log.json says 7x5"),
+        (_png(9_500, 9_500), "is 9500x9500, but log.json says 7x5"),
         (_png(7, 5), "image: cannot be decoded"),
     ):
         _image(folder, data)
@@ -277,7 +277,7 @@ BOX = {"track_id": "1", "class_id": "car", "timestamp_us": 1_700_000_000_100_000
                     "bbox3": {"centroid": [0, 0, 0], "dim": [1, 1, float("inf")], "rot": [0] * 3},
                 }
             ],
-            "size: three metres",
+            "size: expected three sides",
         ),
         (
             [{**BOX, "bbox3": {"centroid": [0, 1e300, 0], "dim": [1] * 3, "rot": [0] * 3}}],

@@ -75,7 +75,7 @@ def test_a_car_that_the_border_cuts_in_every_image_is_not_recommended(
     info = TrackInfo("0", "car", (4.0, 1.8, 1.5), 1.0, 0.0, 1000, visibility)
     (rated,) = ranked([info])
     assert rated.usable == usable
-    assert usable or rated.why == "is cut by the border in every image"
+    assert usable or rated.why == "is cut by the image border in every image"
 
 
 def test_the_largest_whole_crop_counts_not_a_larger_one_that_is_cut(tiny_log: DrivingLog) -> None:

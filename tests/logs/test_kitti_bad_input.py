@@ -121,7 +121,7 @@ CASES: dict[str, tuple[Damage, str]] = {
     ),
     "calibration cut off": (
         lambda d: _cut(_calibration(d, "calib_imu_to_velo.txt"), 14),
-        "calib_imu_to_velo.txt: T: expected 3 numbers, found 2",
+        "calib_imu_to_velo.txt: T: expected 3 numbers, got 2",
     ),
     "truncated sweep": (
         lambda d: _cut(d.folder / "velodyne_points/data/0000000004.bin", 5),
@@ -143,7 +143,7 @@ CASES: dict[str, tuple[Damage, str]] = {
         lambda d: _replace(
             _calibration(d, "calib_cam_to_cam.txt"), "S_rect_02: 1.6", "S_rect_02: 1.7"
         ),
-        "image size: is 160x48, calib_cam_to_cam.txt says 170x48",
+        "image size: is 160x48, but calib_cam_to_cam.txt says 170x48",
     ),
     "labels of another drive": (
         lambda d: _move_boxes(d.labels, 4.0),
@@ -151,11 +151,11 @@ CASES: dict[str, tuple[Damage, str]] = {
     ),
     "labels of a longer drive": (
         lambda d: _replace(d.labels, "\n23 0 Car", "\n230 0 Car"),
-        "labels.txt: track 0: frame 230, but the drive has 30 frames",
+        "labels.txt: track 0: has frame 230, but the drive has 30 frames",
     ),
     "labels with too few columns": (
         lambda d: d.labels.write_text("0 0 Car 0 0\n"),
-        "labels.txt: line 1: 5 of 17 columns",
+        "labels.txt: line 1: has 5 columns, 17 are needed",
     ),
     "labels of an unknown type": (
         lambda d: _replace(d.labels, "3 0 Car", "3 0 Boat"),
@@ -183,7 +183,7 @@ CASES: dict[str, tuple[Damage, str]] = {
     ),
     "oxts with too few fields": (
         lambda d: (d.folder / "oxts/data/0000000003.txt").write_text("49.0 8.4 112.0\n"),
-        "0000000003.txt: fields: 3 of 30 numbers",
+        "0000000003.txt: fields: there are 3 of 30 numbers",
     ),
     "oxts that are not numbers": (
         lambda d: (d.folder / "oxts/data/0000000003.txt").write_text("<html>"),
@@ -195,8 +195,8 @@ CASES: dict[str, tuple[Damage, str]] = {
     ),
     "oxts that are not finite": (_oxts(8, float("nan")), "fields: hold NaN"),
     "oxts beyond the poles": (_oxts(0, 91.0), "91.0 8.43"),
-    "oxts beyond the date line": (_oxts(1, 200.0), "is not a place on a road"),
-    "oxts below the sea": (_oxts(2, -1e6), "is not a place on a road"),
+    "oxts beyond the date line": (_oxts(1, 200.0), "is not a position on a road"),
+    "oxts below the sea": (_oxts(2, -1e6), "is not a position on a road"),
     "oxts that jump": (_oxts(0, 49.1), "0000000003.txt: position: is 100"),
     "calibration that is not text": (
         lambda d: _latin(_calibration(d, "calib_cam_to_cam.txt")),
@@ -220,7 +220,10 @@ CASES: dict[str, tuple[Damage, str]] = {
     "projection far away": (_camera("P_rect_02", 11, "1e9"), "is not within 100000 m"),
     "projection not finite": (_camera("P_rect_02", 3, "nan"), "P_rect_02: holds NaN"),
     "no width": (_camera("S_rect_02", 0, "0"), "PinholeCamera.width, height: 0 x 48"),
-    "width of half a pixel": (_camera("S_rect_02", 0, "160.5"), "160.5 x 48.0 are not pixels"),
+    "width of half a pixel": (
+        _camera("S_rect_02", 0, "160.5"),
+        "160.5 x 48.0 is not a size in pixels",
+    ),
     "huge width": (_camera("S_rect_02", 0, "1e300"), "PinholeCamera.width, height"),
     "infinite width": (_camera("S_rect_02", 0, "inf"), "S_rect_02: holds NaN or infinity"),
     "no rectification": (_camera("R_rect_00", 0, "-0.9999"), "R_rect_00: is not a rotation"),
@@ -246,7 +249,10 @@ CASES: dict[str, tuple[Damage, str]] = {
     "time before computers": (_time("1901-09-26 13:02:26"), "is not a time"),
     "time now": (_time("now"), "line 5: 'now' is not a time"),
     "time of hour 25": (_time("2011-09-26 25:02:26.5"), "is not a time"),
-    "time missing in between": (_time(""), "line 5: is empty, but there is 0000000004.bin"),
+    "time missing in between": (
+        _time(""),
+        "line 5: is empty, but the frame has the file 0000000004.bin",
+    ),
     "times of another day": (
         lambda d: (d.folder / "image_02/timestamps.txt").write_text(
             (d.folder / "image_02/timestamps.txt").read_text().replace("09-26", "09-27")
@@ -257,7 +263,7 @@ CASES: dict[str, tuple[Damage, str]] = {
         lambda d: (d.folder / "oxts/timestamps.txt").write_text(
             (d.folder / "oxts/timestamps.txt").read_text().replace("09-26", "09-27")
         ),
-        "image_02: timestamps.txt: no frame was taken while there were OXTS poses",
+        "image_02: timestamps.txt: no frame lies within the times of the OXTS poses",
     ),
     "frame of a superscript": (
         lambda d: (d.folder / "image_02/data/0000000003.png").rename(
@@ -275,7 +281,7 @@ CASES: dict[str, tuple[Damage, str]] = {
         lambda d: shutil.copy(
             d.folder / "image_02/data/0000000003.png", d.folder / "image_02/data/3.png"
         ),
-        "is frame 3, like ",
+        "is frame 3, and so is ",
     ),
     "image in place of calibration": (
         lambda d: shutil.copy(
@@ -289,10 +295,10 @@ CASES: dict[str, tuple[Damage, str]] = {
     "huge frame": (_label(0, "9" * 30), "line 1: frame 99999"),
     "frame of 5000 digits": (_label(0, "9" * 5000), "labels.txt: line 1: "),
     "negative frame": (_label(0, "-1"), "line 1: frame -1"),
-    "label of NaN": (_label(13, "nan"), "line 1: place: nan is not within"),
-    "label far away": (_label(13, "1e30"), "line 1: place: 1e+30 is not within"),
-    "label without height": (_label(10, "0"), "line 1: a box has three sides"),
-    "label of infinite length": (_label(12, "inf"), "line 1: a box has three sides"),
+    "label of NaN": (_label(13, "nan"), "line 1: position: nan is not within"),
+    "label far away": (_label(13, "1e30"), "line 1: position: 1e+30 is not within"),
+    "label without height": (_label(10, "0"), "line 1: a box must have three sides"),
+    "label of infinite length": (_label(12, "inf"), "line 1: a box must have three sides"),
     "label of endless turns": (_label(16, "inf"), "line 1: heading: inf is not within"),
     "no images": (
         lambda d: shutil.rmtree(d.folder / "image_02"),
@@ -333,18 +339,18 @@ def _field(name: str, value: str) -> tuple[str, str]:
     [
         ((r"<l>[^<]*</l>", ""), "tracklet 0.l: is None"),
         (_field("h", "nan"), "tracklet 0.h: is 'nan'"),
-        (_field("w", "-1"), "tracklet 0: a box has three sides"),
-        (_field("w", "1e30"), "tracklet 0: a box has three sides"),
+        (_field("w", "-1"), "tracklet 0: a box must have three sides"),
+        (_field("w", "1e30"), "tracklet 0: a box must have three sides"),
         (_field("tx", "inf"), "tracklet 0.tx: is 'inf'"),
-        (_field("ty", "1e30"), "tracklet 0: place: 1e+30 is not within"),
+        (_field("ty", "1e30"), "tracklet 0: position: 1e+30 is not within"),
         (_field("rz", "1e30"), "tracklet 0: heading: 1e+30 is not within"),
-        (_field("first_frame", "-1"), "tracklet 0: 6 poses from frame -1 on"),
+        (_field("first_frame", "-1"), "tracklet 0: has 6 poses from frame -1 on"),
         (_field("first_frame", "nan"), "tracklet 0.first_frame: is 'nan'"),
-        (_field("first_frame", "0.5"), "tracklet 0: 6 poses from frame 0.5 on"),
-        (_field("first_frame", "1e300"), "tracklet 0: 6 poses from frame 1e+300 on"),
-        (_field("first_frame", "28"), "track 0: frame 33, but the drive has 30 frames"),
+        (_field("first_frame", "0.5"), "tracklet 0: has 6 poses from frame 0.5 on"),
+        (_field("first_frame", "1e300"), "tracklet 0: has 6 poses from frame 1e+300 on"),
+        (_field("first_frame", "28"), "track 0: has frame 33, but the drive has 30 frames"),
         (_field("objectType", "Dragon"), "unknown type 'Dragon'"),
-        ((r"(?s)<poses>.*</poses>", ""), "tracklet 0: 0 poses"),
+        ((r"(?s)<poses>.*</poses>", ""), "tracklet 0: has 0 poses"),
         ((r"(?s).*", "<a>"), "XML: cannot be read"),
         ((r"(?s).*", "<a>" * 100_000), "XML: cannot be read"),
         ((r"<boost", '<!DOCTYPE a [<!ENTITY b "c">]><boost'), "XML: defines entities"),

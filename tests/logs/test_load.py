@@ -93,7 +93,11 @@ def test_an_importer_of_the_user(importer: Any) -> None:
         (3, {"importer": own, "drive": "x"}, "source: is 3; give a path"),
         ("data", {"importer": "kiti", "drive": "x"}, "kiti: is not known; did you mean kitti"),
         ("data", {"importer": 3, "drive": "x"}, "importer: 3: is not known"),
-        ("data", {"importer": invalid, "drive": "x"}, "name: .* holds half a character"),
+        (
+            "data",
+            {"importer": invalid, "drive": "x"},
+            "name: .* contains a lone surrogate character",
+        ),
     ],
 )
 def test_what_cannot_be_meant_is_one_line(

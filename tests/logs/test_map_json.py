@@ -88,7 +88,10 @@ def test_a_map_without_ground(tmp_path: Path) -> None:
             {"ground": {"origin": [0, 0], "cell": 1, "height": [[1], [1, 2]]}},
             "ground.height: rows have",
         ),
-        ({"ground": {"origin": [0, 0], "cell": 0, "height": [[1]]}}, "cell: 0.0 is not 0.001 to"),
+        (
+            {"ground": {"origin": [0, 0], "cell": 0, "height": [[1]]}},
+            "cell: 0.0 is not within 0.001 to",
+        ),
         ({"ground": {"origin": [0, 0], "cell": 1, "height": []}}, "GroundHeight.height: expected"),
         (
             {"ground": {"origin": [0, 1e9], "cell": 1, "height": [[1]]}},
@@ -115,7 +118,7 @@ def test_broken_maps_say_what_is_wrong(tmp_path: Path, change: dict, message: st
 def test_two_lanes_of_one_name_are_refused(tmp_path: Path) -> None:
     data = json.loads(GOLDEN.read_text())
     (tmp_path / "map.json").write_text(json.dumps({**data, "lanes": data["lanes"] * 2}))
-    with pytest.raises(InputError, match="two have the same lane_id"):
+    with pytest.raises(InputError, match="two lanes have the same lane_id"):
         read_map(tmp_path / "map.json")
 
 
@@ -128,7 +131,7 @@ def test_two_lanes_of_one_name_are_refused(tmp_path: Path) -> None:
         ({"centreline": np.full((3, 3), np.nan)}, "centreline: nan is not within"),
         ({"left_boundary": np.zeros((1, 3))}, "left_boundary: expected (N >= 2, 3)"),
         ({"polygon": np.full((3, 2), -np.inf)}, "polygon: -inf is not within"),
-        ({"successors": ("c",)}, "names lane 'c'"),
+        ({"successors": ("c",)}, "refers to lane 'c'"),
         ({"lane_id": "b"}, "lane_id: is 'b'"),
     ],
 )

@@ -66,7 +66,7 @@ def _copied_row(table: str, source: str, **changes: Any) -> Damage:
         (_cut("v1.0-mini/sample_data.json"), "sample_data.json: row "),
         (
             lambda r: (r / "v1.0-mini/sample.json").write_text('{"token": "a"}'),
-            "sample.json: JSON: does not begin a list",
+            "sample.json: JSON: does not begin with a list",
         ),
         (
             lambda r: (r / "v1.0-mini/sample.json").write_text('["a"]'),
@@ -102,7 +102,7 @@ def _copied_row(table: str, source: str, **changes: Any) -> Damage:
         ),
         (
             _row("category", "k-car", name="vehicle.hovercraft"),
-            "category.json: token k-car: name: 'vehicle.hovercraft' is none of nuScenes",
+            "category.json: token k-car: name: 'vehicle.hovercraft' is not a category of nuScenes",
         ),
         (
             _row("calibrated_sensor", "c-cam", camera_intrinsic=[]),
@@ -114,7 +114,7 @@ def _copied_row(table: str, source: str, **changes: Any) -> Damage:
         ),
         (
             _row("calibrated_sensor", "c-lidar", rotation=[0.0, 0.0, 0.0, 2.0]),
-            "token c-lidar: rotation: is not a rotation: the quaternion's length is 2",
+            "token c-lidar: rotation: is not a rotation: the length of the quaternion is 2",
         ),
         (
             _row("ego_pose", "CAM_FRONT-83334", translation=[0.0, 0.0, 0.0]),
@@ -126,15 +126,15 @@ def _copied_row(table: str, source: str, **changes: Any) -> Damage:
         ),
         (
             _row("sample_annotation", "car3", size=[1.8, 0.0, 1.5]),
-            "token car3: size: is (1.8, 0.0, 1.5), not a box's",
+            "token car3: size: is (1.8, 0.0, 1.5), not a valid box size",
         ),
         (
             _copied_row("sample_annotation", "car3", token="again"),
-            "token again: sample_token: a second box of instance car",
+            "token again: sample_token: instance car has a second box",
         ),
         (
             _copied_row("sample_data", "LIDAR_TOP-0", token="again"),
-            "token again: timestamp: 1532402927000000 is there twice for LIDAR_TOP",
+            "token again: timestamp: 1532402927000000 appears twice for LIDAR_TOP",
         ),
         (
             _row("sample", "key4", timestamp=tiny.START_US + 9_000_000),
@@ -142,7 +142,7 @@ def _copied_row(table: str, source: str, **changes: Any) -> Damage:
         ),
         (
             _row("sample_data", "CAM_FRONT-0", width=32),
-            "token CAM_FRONT-83334: width, height: 64x48, the camera's first is 32x48",
+            "token CAM_FRONT-83334: width, height: are 64x48, but the camera's first image is",
         ),
         (
             _row("sample_data", "CAM_FRONT-0", filename="../../etc/passwd"),
@@ -166,7 +166,7 @@ def _copied_row(table: str, source: str, **changes: Any) -> Damage:
         ),
         (
             _row("sample_annotation", "car3", size=[1.8, 1e6, 1.5]),
-            "token car3: size: is (1.8, 1000000.0, 1.5), not a box's",
+            "token car3: size: is (1.8, 1000000.0, 1.5), not a valid box size",
         ),
         (
             lambda r: (r / "v1.0-mini/sample.json").write_text("[" * 100_000),
@@ -205,7 +205,7 @@ def test_what_cannot_be_meant_is_refused_at_once(whole: Path, tmp_path: Path) ->
         import_drive("nuscenes", whole, "scene-7", tmp_path / "log")
     with pytest.raises(InputError, match="nuScenes folder: does not exist"):
         import_drive("nuscenes", whole / "nowhere", tiny.SCENE, tmp_path / "log")
-    with pytest.raises(InputError, match="nuScenes tables hold the boxes"):
+    with pytest.raises(InputError, match="are already in the nuScenes tables"):
         import_drive(
             "nuscenes", whole, tiny.SCENE, tmp_path / "log", labels=tmp_path / "boxes.json"
         )

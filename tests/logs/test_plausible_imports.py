@@ -60,10 +60,16 @@ def _exchanged(row: Row) -> None:
     ("change", "words"),
     [
         (_xyzw, r"the rig leans by 30 degrees from the world's up; are quaternions wxyz\?"),
-        (_inverted, r"the rig faces \d+ degrees away from where it moves; .*not inverted"),
-        (_compass, r"the rig faces 30 degrees away from where it moves; is the yaw counter-clock"),
-        (_degrees, r"the rig faces \d+ degrees away from where it moves; .*radians"),
-        (_exchanged, r"the rig faces 30 degrees away from where it moves; .*latitude before"),
+        (_inverted, r"the rig faces \d+ degrees away from its direction of motion; .*not inverted"),
+        (
+            _compass,
+            r"the rig faces 30 degrees away from its direction of motion; is the yaw counter-clock",
+        ),
+        (_degrees, r"the rig faces \d+ degrees away from its direction of motion; .*radians"),
+        (
+            _exchanged,
+            r"the rig faces 30 degrees away from its direction of motion; .*latitude before",
+        ),
     ],
 )
 def test_ego_poses_of_nuscenes(
@@ -120,7 +126,7 @@ def test_a_kitti_car_that_rolls_backwards_keeps_its_cameras(
 @pytest.mark.parametrize(
     ("columns", "words"),
     [
-        ({5: lambda v: np.degrees(v[5])}, "degrees away from where it moves"),
+        ({5: lambda v: np.degrees(v[5])}, "degrees away from its direction of motion"),
         ({5: lambda v: np.pi / 2 - v[5]}, "faces 30 degrees away .* counter-clockwise from east"),
         ({0: lambda v: v[1], 1: lambda v: v[0]}, "degrees away .* latitude before longitude"),
     ],

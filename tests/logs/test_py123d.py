@@ -109,21 +109,21 @@ CASES = {
     ),
     "size": (
         tiny.Scene(cameras={"f": FRONT("front", "PINHOLE", width=25)}),
-        "camera front at 1600000000000000 us: has an image of (16, 24, 3), its calibration says",
+        "camera front at 1600000000000000 us: has an image of (16, 24, 3), but its calibration",
     ),
     "image": (tiny.Scene(pictures=lambda k: None), "camera front at 1600000000000000 us: has no"),
     "ids": (tiny.Scene(ids=False), "LiDAR lidar_top at 1600000000000000 us: is merged with"),
     "twice": (
         tiny.Scene(detections=_boxes(tiny.box("car", "CAR", "VEHICLE", tiny.FAR))),
-        "box car at 1600000000000000 us: is there twice",
+        "box car at 1600000000000000 us: appears twice",
     ),
     "label": (
         tiny.Scene(detections=_boxes(tiny.box("x", "UFO", "UFO", tiny.FAR))),
-        "track x: has the label UFO, which is not known; use one of VEHICLE, TRAIN,",
+        "track x: has the label UFO, which recast does not know; use one of VEHICLE, TRAIN,",
     ),
     "box": (
         tiny.Scene(detections=_boxes(tiny.box("x", "CAR", "VEHICLE", tiny.FAR, (0, 1, 1)))),
-        "track x: holds a box without a place or without a size",
+        "track x: has a box without a valid position or size",
     ),
     "map": (
         tiny.Scene(map=tiny.Map([tiny.lane(1, 140.0, "SURFACE_STREET")])),
@@ -152,7 +152,7 @@ def test_a_faulty_log_is_one_clear_line(
 def test_what_is_not_there_is_answered_with_what_is(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    with pytest.raises(InputError, match="py123d data: holds no folder logs"):
+    with pytest.raises(InputError, match="py123d data: has no folder logs"):
         load_py123d(tmp_path, "x")
     tiny.install(monkeypatch, tmp_path, tiny.Scene())
     with pytest.raises(InputError, match=f"drive x: does not exist; choose one of {tiny.NAME}"):
@@ -231,11 +231,23 @@ def _box(place: Any = (30.0, 4.0, 0.8), size: Any = (4.5, 1.9, 1.6)) -> Callable
             "1e+300 is",
         ),
         ("get_lidar_at_timestamp", _points(1e30), "is not within 100000 m"),
-        ("get_box_detections_se3_at_timestamp", _box(size=(4.5, np.nan, 1.6)), "track car: holds"),
-        ("get_box_detections_se3_at_timestamp", _box(size=(4.5, 1e9, 1.6)), "track car: holds"),
-        ("get_box_detections_se3_at_timestamp", _box((np.nan, 0.0, 0.0)), "track car: holds"),
+        (
+            "get_box_detections_se3_at_timestamp",
+            _box(size=(4.5, np.nan, 1.6)),
+            "track car: has a box without",
+        ),
+        (
+            "get_box_detections_se3_at_timestamp",
+            _box(size=(4.5, 1e9, 1.6)),
+            "track car: has a box without",
+        ),
+        (
+            "get_box_detections_se3_at_timestamp",
+            _box((np.nan, 0.0, 0.0)),
+            "track car: has a box without",
+        ),
         ("get_box_detections_se3_at_timestamp", _box((1e12, 0.0, 0.0)), "1e+12 is not within"),
-        ("get_all_ego_state_se3_timestamps", lambda s: [tiny.stamp(10**12)] * 2, "no time"),
+        ("get_all_ego_state_se3_timestamps", lambda s: [tiny.stamp(10**12)] * 2, "is not a time"),
         ("get_all_ego_state_se3_timestamps", lambda s: [tiny.stamp(0)] * 2, "increase"),
     ],
 )

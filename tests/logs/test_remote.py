@@ -161,7 +161,7 @@ def test_a_file_of_another_size_is_refused(
 
     found = MemoryFileSystem.find
     monkeypatch.setattr(MemoryFileSystem, "find", longer)
-    with pytest.raises(InputError, match=r"bytes arrived, \d+ were announced; load it again"):
+    with pytest.raises(InputError, match=r"bytes arrived, \d+ were expected; load it again"):
         load_log(ADDRESS)
     assert [path for path in cache.rglob("*") if path.is_file()] == []
 

@@ -186,7 +186,7 @@ TRACKS = "track/track_info.txt"
         ),
         (
             lambda s: (s / "pointcloud.npz").write_bytes(b"cos\nsystem\n(S'false'\ntR."),
-            "pointcloud.npz: file: is not an .npz archive; a pickle is never loaded",
+            "pointcloud.npz: file: is not an .npz archive; pickles are never loaded",
         ),
         (_points(a=np.zeros((3, 3))), "pointcloud.npz: array a: is not a frame"),
         (_points(**{"000099": np.zeros((3, 3))}), "array 000099: is not a frame"),
@@ -213,10 +213,10 @@ TRACKS = "track/track_info.txt"
         ),
         (
             _matrix("ego_pose/000004.txt", np.eye(4)),
-            "ego_pose/000004.txt: matrix: is 26218 m beside the path of the images: mixed",
+            "ego_pose/000004.txt: matrix: is 26218 m from the path of the images: mixed",
         ),
         (_matrix("ego_pose/000004.txt", np.ones((4, 4))), "000004.txt: matrix: is not a rotation"),
-        (_matrix("ego_pose/000004.txt", np.ones(15)), "16 finite numbers are needed, found 15"),
+        (_matrix("ego_pose/000004.txt", np.ones(15)), "16 finite numbers are needed, got 15"),
         (lambda s: (s / "extrinsics/1.txt").unlink(), "extrinsics/1.txt: file: is missing"),
         (lambda s: (s / "intrinsics/0.txt").unlink(), "intrinsics/0.txt: file: is missing"),
         (
@@ -249,11 +249,11 @@ TRACKS = "track/track_info.txt"
         (lambda s: (s / TRACKS).unlink(), f"{TRACKS}: file: is missing"),
         (_edit(TRACKS, " 9.0", " 9.0 1 2"), f"{TRACKS}: line 2: has 14 columns, not 11 or 12"),
         (_edit(TRACKS, "vehicle", "boat"), f"{TRACKS}: line 2: class: 'boat' is unknown"),
-        (_edit(TRACKS, "0 1.5", "0 tall"), f"{TRACKS}: line 2: holds words where"),
+        (_edit(TRACKS, "0 1.5", "0 tall"), f"{TRACKS}: line 2: contains text where"),
         (_edit(TRACKS, "0 1.5", "0 1e200"), f"{TRACKS}: line 2: holds NaN or infinity, or a num"),
-        (_edit(TRACKS, "0 1.5", "0 -1.5"), f"{TRACKS}: line 2: size: is not a box's"),
+        (_edit(TRACKS, "0 1.5", "0 -1.5"), f"{TRACKS}: line 2: size: is not a valid box size"),
         (_edit(TRACKS, "\n1 7", "\n99 7"), f"{TRACKS}: line 4: frame: 99 has no ego_pose"),
-        (_edit(TRACKS, "\n1 7", "\n0 7"), f"{TRACKS}: line 4: track: track 7 is there twice"),
+        (_edit(TRACKS, "\n1 7", "\n0 7"), f"{TRACKS}: line 4: track: track 7 appears twice"),
         (
             _edit(TRACKS, "1.5 1.8 4.0 1", "1.5 1.8 4.0 -9991"),
             f"{TRACKS}: line 2: centre: the box is 9",

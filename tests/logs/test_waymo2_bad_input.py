@@ -57,7 +57,7 @@ SHEARED = np.arange(16.0)
         (
             "vehicle_pose",
             _of({FRAME: SECOND}, segment_context_name="other"),
-            "key.segment_context_name: is 'other', the file is of '12345_1000",
+            "key.segment_context_name: is 'other', but the file is of segment '12345_1000",
         ),
         (
             "lidar_box",
@@ -77,29 +77,29 @@ SHEARED = np.arange(16.0)
         (
             "vehicle_pose",
             _of({FRAME: SECOND}, **{FRAME: tiny2.start(0)}),
-            f"key.frame_timestamp_micros: {tiny2.start(0)} is there twice",
+            f"key.frame_timestamp_micros: {tiny2.start(0)} appears twice",
         ),
         (
             "vehicle_pose",
             _without(**{FRAME: SECOND}),
-            f"key.frame_timestamp_micros: {SECOND} is of no frame in vehicle_pose",
+            f"key.frame_timestamp_micros: {SECOND} is not the time of a frame in vehicle_pose",
         ),
         ("vehicle_pose", lambda row: None, "rows: there are none"),
         (
             "vehicle_pose",
             _of({FRAME: tiny2.start(2)}, **{FRAME: tiny2.start(12)}),
-            "is of no frame in vehicle_pose",
+            "is not the time of a frame in vehicle_pose",
         ),
         (
             "camera_image",
             _of(FRONT, camera_name=9),
-            "key.camera_name: is 9, no CameraName (1 FRONT, 2 FRONT_LEFT,",
+            "key.camera_name: is 9, not a CameraName (1 FRONT, 2 FRONT_LEFT,",
         ),
-        ("camera_image", _of(FRONT, camera_name=2), "key.camera_name: FRONT_LEFT is there twice"),
+        ("camera_image", _of(FRONT, camera_name=2), "key.camera_name: FRONT_LEFT appears twice"),
         (
             "camera_image",
             _cell(FRONT, "pose_timestamp", 3.0),
-            f"{IMAGE}.pose_timestamp: is -1.55e+09 s after the frame's time",
+            f"{IMAGE}.pose_timestamp: is -1.55e+09 s after the time of the frame",
         ),
         (
             "camera_image",
@@ -122,7 +122,7 @@ SHEARED = np.arange(16.0)
             _without(camera_name=1),
             f"{IMAGE}.image: there is no calibration of camera FRONT",
         ),
-        ("camera_calibration", _of({CAMERA: 1}, camera_name=2), "FRONT_LEFT is there twice"),
+        ("camera_calibration", _of({CAMERA: 1}, camera_name=2), "FRONT_LEFT appears twice"),
         (
             "camera_calibration",
             _of({CAMERA: 1}, width=0),
@@ -131,12 +131,12 @@ SHEARED = np.arange(16.0)
         (
             "camera_calibration",
             _of({CAMERA: 1}, height=33),
-            f"{IMAGE}.image: is 48x32, the camera's calibration says 48x33",
+            f"{IMAGE}.image: is 48x32, but the camera's calibration says 48x33",
         ),
         (
             "camera_calibration",
             _of({CAMERA: 1}, rolling_shutter_direction=8),
-            "[CameraCalibrationComponent].rolling_shutter_direction: is 8, no RollingShutter",
+            "[CameraCalibrationComponent].rolling_shutter_direction: is 8, not a RollingShutter",
         ),
         (
             "lidar_calibration",
@@ -151,7 +151,7 @@ SHEARED = np.arange(16.0)
         (
             "lidar_calibration",
             _cell({LASER: 1}, "beam_inclination.values", [0.1, 0.0]),
-            "[LiDARCalibrationComponent].beam_inclination.values: do not ascend",
+            "[LiDARCalibrationComponent].beam_inclination.values: must increase",
         ),
         (
             "lidar_calibration",
@@ -181,7 +181,7 @@ SHEARED = np.arange(16.0)
         (
             "camera_image",
             _cell(FRONT, "pose.transform", np.diag([1.0, 1.0, -1.0, 1.0]).ravel()),
-            f"{IMAGE}.pose.transform: is not a rotation and a translation",
+            f"{IMAGE}.pose.transform: is not a rotation and translation",
         ),
         (
             "camera_image",
@@ -220,17 +220,21 @@ SHEARED = np.arange(16.0)
             _without(**{FRAME: SECOND, LASER: 5}),
             "LiDAR REAR: its range image is missing",
         ),
-        ("lidar_pose", _without(**TOP), "of TOP has no row in lidar_pose at the frame's time"),
+        (
+            "lidar_pose",
+            _without(**TOP),
+            "of the LiDAR TOP has no row in lidar_pose at the frame's time",
+        ),
         (
             "lidar_pose",
             _of(TOP, **tiny2.cells("range_image_return1", np.zeros((5, 40, 6)))),
-            "[LiDARPoseComponent].range_image_return1.values: is (5, 40), the range image (6, 40)",
+            "[LiDARPoseComponent].range_image_return1.values: is (5, 40), but the range image",
         ),
-        ("lidar_box", _of(CAR, type=9), "[LiDARBoxComponent].type: is 9, no Label.Type (0 unk"),
+        ("lidar_box", _of(CAR, type=9), "[LiDARBoxComponent].type: is 9, not a Label.Type (0 unk"),
         (
             "lidar_box",
             _of(CAR, **{"laser_object_id": "sign"}),
-            "key.laser_object_id: sign is there twice",
+            "key.laser_object_id: sign appears twice",
         ),
         (
             "lidar_box",
@@ -254,7 +258,7 @@ def test_the_message_names_file_and_row(tmp_path: Path) -> None:
     column = "[LiDARBoxComponent].box.heading"
     table = pq.read_table(_file(root, "lidar_box"))
     row = int(np.flatnonzero(np.isnan(table[column].to_numpy()))[0])
-    _refused(root, tiny.NAME, f"{_file(root, 'lidar_box')}: row {row}, {column}: is nan; download")
+    _refused(root, tiny.NAME, f"{_file(root, 'lidar_box')}: row {row}, {column}: is nan, which is")
 
 
 @pytest.mark.parametrize(
@@ -316,7 +320,7 @@ def test_what_is_not_there_is_answered_with_what_is(tmp_path: Path) -> None:
     tiny2.write_segment(root / "training")
     message = f"{root}: drive 999: has no file in vehicle_pose; choose one of {tiny.NAME}"
     _refused(root, "999", message)
-    with pytest.raises(InputError, match="labels: a segment holds its own"):
+    with pytest.raises(InputError, match="labels: are already in the Waymo segment"):
         import_drive("waymo-v2", root, tiny.NAME, tmp_path / "log", labels=root)
     tiny2.write_segment(root / "validation")
-    _refused(root, tiny.NAME, "is in training, validation; name the folder of one split")
+    _refused(root, tiny.NAME, "is ambiguous: training, validation; name the folder of one of these")

@@ -74,7 +74,7 @@ def _lanes(*features: bytes) -> Parts:
 @pytest.mark.parametrize(
     ("parts", "message"),
     [
-        (_frame(1, lambda d: d[:-3]), "record 1, Frame: is not a protocol buffer, or cut off"),
+        (_frame(1, lambda d: d[:-3]), "record 1, Frame: is not a protocol buffer, or is cut off"),
         (_frame(1, lambda d: integer(2, 5) + blob(3, b"")), "record 1, context: is missing"),
         (
             _frame(2, lambda d: d + integer(2, 1 << 62)),
@@ -92,7 +92,7 @@ def _lanes(*features: bytes) -> Parts:
         (_frame(1, lambda d: d + blob(1, blob(1, "other"))), "record 1, context.name: is 'other'"),
         (
             _pose(range(16)),
-            "record 1, pose.transform: is not a rotation and a translation",
+            "record 1, pose.transform: is not a rotation and translation",
         ),
         (
             _pose([1.0, 2.0]),
@@ -100,11 +100,11 @@ def _lanes(*features: bytes) -> Parts:
         ),
         (
             _frame(1, lambda d: d + blob(4, integer(1, 9))),
-            "record 1, images[5].name: is 9, no CameraName (1 FRONT, 2 FRONT_LEFT,",
+            "record 1, images[5].name: is 9, not a CameraName (1 FRONT, 2 FRONT_LEFT,",
         ),
         (
             _frame(1, lambda d: d + blob(4, tiny.image_bytes(1, "FRONT", Parts()))),
-            "record 1, images[5].name: FRONT is there twice",
+            "record 1, images[5].name: FRONT appears twice",
         ),
         (
             Parts(missing={"FRONT"}),
@@ -118,24 +118,24 @@ def _lanes(*features: bytes) -> Parts:
         (_camera(lambda d: d + integer(4, 0)), f"{CONTEXT}[4]: PinholeCamera.width, height: 0 x"),
         (
             _camera(lambda d: d + integer(6, 8)),
-            f"{CONTEXT}[4].rolling_shutter_direction: is 8, no RollingShutter",
+            f"{CONTEXT}[4].rolling_shutter_direction: is 8, not a RollingShutter",
         ),
         (_jpeg(lambda d: b""), "record 1, images[0].image: cannot be decoded"),
         (_jpeg(lambda d: b"no picture"), "record 1, images[0].image: cannot be decoded"),
         (
             _camera(lambda d: d + integer(5, 33)),
-            "record 0, images[0].image: is 48x32, the camera's calibration says 48x33",
+            "record 0, images[0].image: is 48x32, but the camera's calibration says 48x33",
         ),
         (
             _frame(1, lambda d: d + integer(2, tiny.START_US + 400_000)),
-            "record 1, images[0].pose_timestamp: is -0.248 s after the frame's time",
+            "record 1, images[0].pose_timestamp: is -0.248 s after the time of the frame",
         ),
-        (_box(kind=9), "record 1, laser_labels[0].type: is 9, no Label.Type (0 unknown, 1"),
+        (_box(kind=9), "record 1, laser_labels[0].type: is 9, not a Label.Type (0 unknown, 1"),
         (_box(width=0.0), "record 1, laser_labels[0].box.width: is 0"),
         (_box(heading=float("nan")), "record 1, laser_labels[0].box.heading: is nan"),
         (
             Parts(label=lambda k, name: tiny.label(k, "car")),
-            "record 0, laser_labels[1].id: car is there twice",
+            "record 0, laser_labels[1].id: car appears twice",
         ),
         (_top(1, lambda d: b""), "record 1, lasers[0].return1.range_image_compressed: is empty"),
         (
@@ -145,7 +145,7 @@ def _lanes(*features: bytes) -> Parts:
         (_top(1, lambda d: b"raw"), "range_image_compressed: is not a zlib stream"),
         (
             _top(1, lambda d: zlib.compress(b"")),
-            "range_image_compressed: holds no matrix: shape: is missing",
+            "range_image_compressed: does not contain a matrix: shape: is missing",
         ),
         (
             _top(1, _matrix(np.zeros((0, 40, 4)))),
@@ -161,25 +161,25 @@ def _lanes(*features: bytes) -> Parts:
             Parts(frame=_without_rear),
             "record 1, LiDAR REAR: its range image is missing",
         ),
-        (_lanes(blob(99, "")), "record 0, map_features: hold no lane for cars"),
+        (_lanes(blob(99, "")), "record 0, map_features: contain no lane for cars"),
         (
             _lanes(tiny.lane(1, tiny.line((0, 0), (9, 0)), kind=3)),
-            "record 0, map_features: hold no lane for cars",
+            "record 0, map_features: contain no lane for cars",
         ),
         (
             _lanes(tiny.lane(1, tiny.line((0, 0), (9, 0)), kind=7)),
-            "record 0, map_features[0].lane.type: is 7, no LaneType",
+            "record 0, map_features[0].lane.type: is 7, not a LaneType",
         ),
         (
             _lanes(tiny.lane(1, tiny.line((5000, 0), (5009, 0)))),
-            "record 0, map_features: the ego drives 4998 m beside all lanes",
+            "record 0, map_features: the ego drives 4998 m away from all lanes",
         ),
         (
             _lanes(
                 *tiny.map_features()[5:],
                 tiny.lane(1, tiny.line((0, 0), (9, 0)), tiny.boundary(13, 11, 0, 40)),
             ),
-            "map_features[5].lane.left_boundaries[0]: runs from point 0 to 40 of 11",
+            "map_features[5].lane.left_boundaries[0]: runs from point 0 to 40, but the lane has 11",
         ),
     ],
 )
@@ -217,19 +217,19 @@ def test_a_damaged_file_names_its_record(tmp_path: Path) -> None:
     path = tiny.write_segment(tmp_path / "root")
     whole = path.read_bytes()
     path.write_bytes(whole[:-100] + bytes([whole[-100] ^ 1]) + whole[-99:])
-    _refused(tmp_path, tiny.NAME, f"{path}: record 2, data: do not fit their checksum")
+    _refused(tmp_path, tiny.NAME, f"{path}: record 2, data: do not match their checksum")
     path.write_bytes(whole[:-20])
     _refused(tmp_path, tiny.NAME, f"{path}: record 2, data: are cut off, 20 bytes are missing")
     path.write_bytes(b"\x1f\x8b" + whole)
     _refused(
-        tmp_path, tiny.NAME, f"{path}: record 0, length: this is not an (uncompressed) TFRecord"
+        tmp_path, tiny.NAME, f"{path}: record 0, length: the file is not an uncompressed TFRecord"
     )
 
 
 def test_a_gap_in_the_drive_is_refused(tmp_path: Path) -> None:
     path = tmp_path / "root" / tiny.FILE
     write_records(path, [tiny.frame_bytes(k, Parts()) for k in (0, 1, 13)])
-    _refused(tmp_path, tiny.NAME, f"{path}: record 2, pose: comes 1.1 s after the one before")
+    _refused(tmp_path, tiny.NAME, f"{path}: record 2, pose: comes 1.1 s after the pose before")
 
 
 def test_what_is_not_there_is_answered_with_what_is(tmp_path: Path) -> None:
@@ -237,10 +237,10 @@ def test_what_is_not_there_is_answered_with_what_is(tmp_path: Path) -> None:
     _refused(tmp_path, "1234", f"{root}: Waymo folder: does not exist")
     tiny.write_segment(root)
     _refused(tmp_path, "999", f"{root}: drive 999: does not exist; choose one of {tiny.FILE}")
-    with pytest.raises(InputError, match="labels: a segment holds its own"):
+    with pytest.raises(InputError, match="labels: are already in the Waymo segment"):
         import_drive("waymo", root, tiny.NAME, tmp_path / "log", labels=root / tiny.FILE)
     tiny.write_segment(root / "validation")
-    _refused(tmp_path, tiny.NAME, f"may be {tiny.FILE}, validation/{tiny.FILE}")
+    _refused(tmp_path, tiny.NAME, f"is ambiguous: {tiny.FILE}, validation/{tiny.FILE}")
 
 
 def _scenario(name: str, *more: bytes) -> bytes:
@@ -273,8 +273,8 @@ def _scenario(name: str, *more: bytes) -> bytes:
 def test_a_scenario_is_named_where_a_file_holds_several(tmp_path: Path) -> None:
     path = tmp_path / "root" / "shard.tfrecord"
     write_records(path, [_scenario("aa"), _scenario("bb")])
-    _refused(tmp_path, "shard", f"{path}: scenario_id: 2 scenarios are in the file; name one")
+    _refused(tmp_path, "shard", f"{path}: scenario_id: the file has 2 scenarios; name one")
     _refused(tmp_path, "shard:cc", f"{path}: scenario_id: cc is not in the file")
     import_drive("waymo", tmp_path / "root", "shard.tfrecord:bb", tmp_path / "log")
     write_records(path, [_scenario("aa", integer(6, 2))])
-    _refused(tmp_path, "shard", f"{path}: record 0, sdc_track_index: is 2 of 2 tracks")
+    _refused(tmp_path, "shard", f"{path}: record 0, sdc_track_index: is 2, but there are 2")

@@ -61,11 +61,14 @@ def _flip(data: bytes, at: int) -> bytes:
 @pytest.mark.parametrize(
     ("damage", "message"),
     [
-        (lambda d: _flip(d, 0), "record 0, length: this is not an (uncompressed) TFRecord"),
-        (lambda d: b"\x89PNG and other things that are longer", "record 0, length: this is no"),
-        (lambda d: _flip(d, 14), "record 0, data: do not fit their checksum"),
-        (lambda d: _flip(d, 12 + 100), "record 0, data: do not fit their checksum"),
-        (lambda d: _flip(d, 116), "record 1, length: does not fit its checksum"),
+        (lambda d: _flip(d, 0), "record 0, length: the file is not an uncompressed TFRecord"),
+        (
+            lambda d: b"\x89PNG and other things that are longer",
+            "record 0, length: the file is not",
+        ),
+        (lambda d: _flip(d, 14), "record 0, data: do not match their checksum"),
+        (lambda d: _flip(d, 12 + 100), "record 0, data: do not match their checksum"),
+        (lambda d: _flip(d, 116), "record 1, length: does not match its checksum"),
         (lambda d: d[:-10], "record 1, data: are cut off, 10 bytes are missing"),
         (lambda d: d[:-2], "record 1, data: are cut off, 2 bytes are missing"),
         (lambda d: d[: 116 + 5], "record 1, length: is cut off"),
@@ -118,10 +121,10 @@ def test_parts_of_a_message() -> None:
 @pytest.mark.parametrize(
     ("data", "field", "message"),
     [
-        (write.integer(1, 7), "name", r"^name: is 7, no LaserName \(1 TOP, 2 FRONT, "),
-        (write.integer(1, -1), "name", "^name: is -1, no LaserName"),
+        (write.integer(1, 7), "name", r"^name: is 7, not a LaserName \(1 TOP, 2 FRONT, "),
+        (write.integer(1, -1), "name", "^name: is -1, not a LaserName"),
         (write.blob(1, "TOP"), "name", "^name: is missing"),  # of another wire type: unknown
-        (write.blob(2, "image")[:-1], "return1", "^Laser: is not a protocol buffer, or cut off"),
+        (write.blob(2, "image")[:-1], "return1", "^Laser: is not a protocol buffer, or is cut off"),
         (write.blob(2, write.blob(2, "image")[:-1]), "return1", "^Laser: is not a protocol buffer"),
         (b"\x0c", "name", "^Laser: is not a protocol buffer"),
         (b"\x08" + b"\xff" * 11, "name", "^Laser: is not a protocol buffer"),
@@ -159,5 +162,5 @@ def test_a_tf_example_is_named(tmp_path: Path, floats: int) -> None:
 
 def test_an_archive_in_place_of_records_is_named(tmp_path: Path) -> None:
     (tmp_path / "a.tfrecord").write_bytes(b"\x1f\x8b\x08" + bytes(30))
-    with pytest.raises(InputError, match="no \\(uncompressed\\) TFRecord file but a gzip archive"):
+    with pytest.raises(InputError, match="not an uncompressed TFRecord but a gzip archive"):
         load_waymo(tmp_path, "a.tfrecord")

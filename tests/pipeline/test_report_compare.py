@@ -80,7 +80,7 @@ def test_runs_of_different_logs_are_compared_and_told(runs: list[Path], tmp_path
         (("--compare", "ten", "ten", "--out", "OUT"), "named twice"),
         (("--compare", "ten", "gone", "--out", "OUT"), "gone/run.json"),
         (("--compare", "ten", "empty", "--out", "OUT"), "empty/run.json"),
-        (("--compare", "ten", "eight", "--out", "FULL"), "no report"),
+        (("--compare", "ten", "eight", "--out", "FULL"), "not a report"),
         (("ten", "eight"), "add --compare"),
         ((), "run folder: 0 given"),
         (("gone",), "gone/run.json"),

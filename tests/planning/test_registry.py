@@ -97,8 +97,11 @@ def test_installed_plugins_are_found(plugin: str, monkeypatch: pytest.MonkeyPatc
         (":y", r"cannot be imported \(ValueError"),
         ("a..b:c", "cannot be imported"),
         ("{plugin}:needy", r"cannot be made \(TypeError: needy\(\) missing 1 required"),
-        ("{plugin}:failing", r"cannot be made \(RuntimeError: out of memory\)"),
-        ("{plugin}:leaving", r"cannot be made \(SystemExit: 3\)"),
+        (
+            "{plugin}:failing",
+            r"cannot be made \(RuntimeError: out of memory, my_planner_plugin.py line 10\)",
+        ),
+        ("{plugin}:leaving", r"cannot be made \(SystemExit: 3, my_planner_plugin.py line 11\)"),
         ("navsim:{plugin}:needy", r"cannot be made \(TypeError: needy"),
         ("navsim:.x:y", r"cannot be imported \(TypeError"),
         ("navsim:", "is not known"),
@@ -140,7 +143,10 @@ class Agent:
 """
     (tmp_path / "my_failing_agent.py").write_text(agent)
     monkeypatch.syspath_prepend(tmp_path)
-    with pytest.raises(InputError, match=r"cannot be made \(FileNotFoundError: weights.ckpt\)"):
+    with pytest.raises(
+        InputError,
+        match=r"cannot be made \(FileNotFoundError: weights.ckpt, my_failing_agent.py line 3\)",
+    ):
         make_planner("navsim:my_failing_agent:Agent")
 
 

@@ -92,7 +92,7 @@ LARGE = output("front", np.zeros((64, 48, 3), np.uint8))
         ([FIRST, {"id": "rück"}], "its output of rück has no image with base64 data"),
         ([FIRST, None], "its output of rück has no image"),
         ([FIRST, {"image": {"data": "***"}}], "its output of rück has no image"),
-        ([LARGE, SECOND], "image size: is 48x64, the image that was sent says 48x32"),
+        ([LARGE, SECOND], "image size: is 48x64, but the image that was sent says 48x32"),
         ([{"image": {"data": "AAAA"}}, SECOND], "image: cannot be decoded"),
     ],
 )

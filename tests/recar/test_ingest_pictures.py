@@ -111,7 +111,7 @@ def test_other_formats_are_refused_whatever_their_name(tmp_path: Path) -> None:
     """Readers of some run programs, such as Ghostscript."""
     path = tmp_path / "a.jpg"
     Image.fromarray(photograph(1)[..., :3]).save(path, "EPS")
-    with pytest.raises(InputError, match="is none of BMP, JPEG, PNG, TIFF, WEBP"):
+    with pytest.raises(InputError, match="is not one of BMP, JPEG, PNG, TIFF, WEBP"):
         photograph_size(path)
 
 

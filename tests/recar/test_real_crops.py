@@ -114,7 +114,7 @@ def no_camera(folder: Path) -> None:
         (record_change("cam_fovs", [0.0, 30.0]), r"cam_fovs.0: .*greater than 0"),
         (record_change("cam_fovs", [30.0, 180.0]), r"cam_fovs.1: .*less than 180"),
         (record_change("cam_dists", [13.0, -1.0]), r"cam_dists.1: .*greater than 0"),
-        (record_change("cam_dists", [13.0, float("nan")]), r"JSON: .*NaN is no number"),
+        (record_change("cam_dists", [13.0, float("nan")]), r"JSON: .*NaN is not a number"),
         (record_change("object_lwh", [4.4, 0.0, 1.4]), r"object_lwh.1: .*greater than 0"),
         (record_change("object_lwh", [4.4, 1.9, 1.4]), r"object_lwh: is 4.400 x 1.900 x 1.400"),
         (record_change("frame_filenames", []), r"frame_filenames: "),

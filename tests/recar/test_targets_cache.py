@@ -70,9 +70,9 @@ def test_decisions_reject_whatever_the_score(cache: TargetCache) -> None:
 @pytest.mark.parametrize(
     ("coords", "problem"),
     [
-        ([[1, 2, 3], [1, 2, 3]], "there twice"),
-        ([[1, 2, 4], [1, 2, 3]], "not in order"),
-        ([[-1, 2, 3], [1, 2, 3]], "below zero"),
+        ([[1, 2, 3], [1, 2, 3]], "out of order or repeated"),
+        ([[1, 2, 4], [1, 2, 3]], "out of order or repeated"),
+        ([[-1, 2, 3], [1, 2, 3]], "negative"),
     ],
 )
 def test_voxels_in_disorder_are_refused(
@@ -126,7 +126,7 @@ def test_no_cache_one_in_the_making_and_a_lost_record(cache: TargetCache, tmp_pa
     with pytest.raises(InputError, match="is missing"):
         TargetCache.open(tmp_path / "nothing")
     (cache.folder / "records/car-2.json").unlink()
-    with pytest.raises(InputError, match=r"3 where cache\.json says 4"):
+    with pytest.raises(InputError, match=r"3, but cache\.json counts 4"):
         TargetCache.open(cache.folder)
     path = cache.folder / "cache.json"
     path.write_text(path.read_text().replace('"complete": true', '"complete": false'))

@@ -256,7 +256,7 @@ def test_the_predictor_is_the_published_chain_of_linear_layers(tmp_path: Path) -
 
 def test_a_wrong_predictor_is_a_clear_line(tmp_path: Path) -> None:
     path = tmp_path / "predictor.pth"
-    with pytest.raises(InputError, match="aesthetic predictor: is no file"):
+    with pytest.raises(InputError, match="aesthetic predictor: is not a file"):
         load_predictor(path)
     path.write_bytes(b"no weights")
     with pytest.raises(InputError, match="is damaged, or no PyTorch checkpoint; name sac"):

@@ -143,12 +143,12 @@ def test_targets_that_nobody_screened_are_told_once_and_recorded(
 
     assert read_training_record(whole).unscreened == 4
     text = said(stage, tmp_path / "none")
-    assert text.count("nobody screened 4 of the 4 targets to train on") == 1
+    assert text.count("4 of the 4 training targets are not screened") == 1
     screened = TinyStage(stage.model, tmp_path / "cache", stage.pictures)
     shutil.copytree(stage.targets, screened.targets)
     for name in ("car-0", "car-1", "car-2"):
         Screening(screened.targets).decide(name, "accept")
-    assert "nobody screened 1 of the 4" in said(screened, tmp_path / "some")
+    assert "1 of the 4 training targets are not screened" in said(screened, tmp_path / "some")
     assert read_training_record(tmp_path / "some").unscreened == 1
     Screening(screened.targets).decide("car-3", "accept")
     assert "screened" not in said(screened, tmp_path / "all")

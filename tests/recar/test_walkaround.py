@@ -203,7 +203,7 @@ def a_folder_outside(folder: Path) -> None:
         (no_front, "front: is not given"),
         (front_too_high, "front: is 24"),
         (small_mask, "size: is 4x4, the photograph 60x40"),
-        (a_folder_outside, "no file inside of photos"),
+        (a_folder_outside, "not a file inside of photos"),
     ],
 )
 def test_what_is_refused(tmp_path: Path, change: Callable[[Path], None], problem: str) -> None:

@@ -139,5 +139,5 @@ def test_what_is_no_comparison_is_refused(runs: list[ComparedRun], tmp_path: Pat
     with pytest.raises(ValueError, match="at least two"):
         write_comparison(runs[:1], tmp_path / "out")
     (tmp_path / "thesis.txt").write_text("years of work")
-    with pytest.raises(InputError, match="no report"):
+    with pytest.raises(InputError, match="not a report"):
         write_comparison(runs, tmp_path)

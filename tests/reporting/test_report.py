@@ -165,7 +165,7 @@ def test_same_inputs_same_bytes_and_the_old_report_is_replaced(
 
 def test_a_folder_with_something_else_is_left_alone(tmp_path: Path) -> None:
     (tmp_path / "thesis.txt").write_text("years of work")
-    with pytest.raises(InputError, match="no report"):
+    with pytest.raises(InputError, match="not a report"):
         write_report(ReportInputs("t", "log", {"native": "Native"}), tmp_path)
     assert (tmp_path / "thesis.txt").read_text() == "years of work"
 

@@ -115,7 +115,7 @@ def test_a_record_names_nothing_outside_of_its_folder(folder: Path, field: str, 
         folder,
         **({field: name} if field in ("background", "tensors") else {"actor": {field: name}}),
     )
-    with pytest.raises(InputError, match=f"{field}: names .*no file inside of copy/"):
+    with pytest.raises(InputError, match=f"{field}: names .*not a file inside of copy/"):
         load_scene(folder)
 
 

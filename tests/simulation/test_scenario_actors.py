@@ -165,7 +165,7 @@ def test_the_example_of_the_documentation(tmp_path: Path) -> None:
         ("motion: log-replay", "motion: cut-in", "my.yaml:15: settings: is missing; give a, b"),
         ("    motion: log-replay", "    3", "my.yaml:15: actor un/usual id: is the number 3"),
         ('  "un/usual id"', "  5", "my.yaml:15: 5: is given twice, first in line 9"),
-        ('  "un/usual id"', '  ""', "my.yaml:15: actor : track id: a name has 1 to 1000"),
+        ('  "un/usual id"', '  ""', "my.yaml:15: actor : track id: a name must have 1 to 1000"),
         ("actors:", "actors: {}\nactor:", "my.yaml:9: actor: is not known; did you mean actors?"),
     ],
 )

@@ -90,7 +90,7 @@ def test_missing_file(tmp_path: Path):
 
 def test_no_picture(tmp_path: Path):
     (tmp_path / "car.png").write_text("no picture")
-    assert "image: cannot be decoded (it is none of BMP, JPEG, PNG" in _unreadable(
+    assert "image: cannot be decoded (it is not one of BMP, JPEG, PNG" in _unreadable(
         tmp_path / "car.png"
     )
 

@@ -112,7 +112,7 @@ def test_shapes_tell_the_arguments_of_the_published_file():
 
 @pytest.mark.parametrize("name", ["none.pth", "none.safetensors", "none"])
 def test_missing_file(tmp_path: Path, name: str):
-    assert "DINOv2 weights: is no file" in _refusal(tmp_path / name)
+    assert "DINOv2 weights: is not a file" in _refusal(tmp_path / name)
 
 
 def test_folder_without_config(tmp_path: Path):
@@ -121,7 +121,7 @@ def test_folder_without_config(tmp_path: Path):
 
 def test_folder_without_weights(hf_folder: Path, tmp_path: Path):
     (tmp_path / "config.json").write_bytes((hf_folder / "config.json").read_bytes())
-    assert "model.safetensors: DINOv2 weights: is no file" in _refusal(tmp_path)
+    assert "model.safetensors: DINOv2 weights: is not a file" in _refusal(tmp_path)
 
 
 @pytest.mark.parametrize(
@@ -212,7 +212,7 @@ def test_pickle_is_not_run(tmp_path: Path):
     malice = {"cls_token": _Malice(tmp_path / "trace")}
     torch.save(malice, tmp_path / "a.pth")
     (tmp_path / "b.pth").write_bytes(pickle.dumps(malice))
-    assert "getattr, which is no tensor and is never unpickled" in _refusal(tmp_path / "a.pth")
+    assert "getattr, which is not a tensor and is never unpickled" in _refusal(tmp_path / "a.pth")
     assert "is damaged, or no PyTorch checkpoint" in _refusal(tmp_path / "b.pth")
     assert not (tmp_path / "trace").exists()
 
@@ -220,7 +220,7 @@ def test_pickle_is_not_run(tmp_path: Path):
 @pytest.mark.parametrize("value", [torch.zeros(3), {"model": {"cls_token": torch.zeros(3)}}])
 def test_no_table_of_tensors(tmp_path: Path, value: object):
     torch.save(value, tmp_path / "a.pth")
-    assert "is no table of tensors" in _refusal(tmp_path / "a.pth")
+    assert "is not a table of tensors" in _refusal(tmp_path / "a.pth")
 
 
 @pytest.mark.parametrize("name", ["a.pth", "a.safetensors"])

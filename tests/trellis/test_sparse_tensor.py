@@ -55,7 +55,7 @@ def test_what_does_not_fit_is_named(
 
 
 def test_a_batch_needs_a_sample() -> None:
-    with pytest.raises(InputError, match="at least one"):
+    with pytest.raises(InputError, match="one of each for every sample"):
         SparseTensor.stack([], [])
 
 

@@ -285,7 +285,7 @@ def test_terms_must_be_accepted_before_the_first_request(hub: Hub, toy: Weights)
 
 def test_names_of_a_hub_never_leave_the_folder(hub: Hub, toy: Weights) -> None:
     hub.commit("someone/toy", FILES | {"deep/../../../evil.safetensors": b"x" * 2000})
-    assert "no file inside" in refusal(toy)
+    assert "not a file inside" in refusal(toy)
     assert not (weights_folder().parent / "evil.safetensors").exists()
 
 

@@ -226,7 +226,7 @@ def _trajectory(poses: Any, interval: float = 0.5) -> Any:
         (_trajectory(np.zeros((8, 2))), r"its poses have shape \(8, 2\)"),
         (_trajectory(np.zeros((6, 3))), "its 6 poses every 0.5 s end at 3 s, 4 s are needed"),
         (_trajectory(np.full((8, 3), np.nan)), "pose 0 holds NaN"),
-        (_trajectory([[0.0], [1.0, 2.0]]), "no array of numbers"),
+        (_trajectory([[0.0], [1.0, 2.0]]), "not an array of numbers"),
         (_trajectory(np.zeros((8, 3)), 0.0), "its poses are 0.0 s apart"),
     ],
 )

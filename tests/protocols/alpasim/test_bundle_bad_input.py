@@ -150,7 +150,7 @@ CASES: dict[str, tuple[str, Change, str]] = {
     "flat box": (
         TRACKS,
         put("small", "cuboidtracks_data", "cuboids_dims", 0, 2, 0.0),
-        "tracks.0.size: three metres",
+        "tracks.0.size: expected three sides",
     ),
     "one id twice": (
         TRACKS,
@@ -237,7 +237,7 @@ def test_members_beyond_their_limit_are_not_read(
     ("options", "said"),
     [
         (("--drive", "other"), "drive other: does not exist; choose one of small"),
-        (("--cameras", "back"), "has no camera 'back'; choose from front"),
+        (("--cameras", "back"), "has no camera 'back'; choose one of front"),
         (("--labels", "x.json"), "a bundle has its own"),
         (("--no-refine",), "has no option refine"),
     ],

@@ -157,7 +157,10 @@ def alive(port: int) -> bool:
 def test_garbage_and_what_is_not_there_have_a_status_each() -> None:
     with serving() as server:
         code, details = status(server.port, "render_rgb", b"\xff" * 50)
-        assert code is grpc.StatusCode.INVALID_ARGUMENT and "is not an RGBRenderRequest" in details
+        assert (
+            code is grpc.StatusCode.INVALID_ARGUMENT
+            and "cannot be read as RGBRenderRequest" in details
+        )
         assert status(server.port, "shut_down", b"")[0] is grpc.StatusCode.UNIMPLEMENTED
         for method, words in (
             ("render_lidar", "recast renders no LiDAR"),

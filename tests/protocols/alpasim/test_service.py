@@ -272,7 +272,7 @@ STEEP = message(
 )  # fmt: skip
 TWICE = [message("DynamicObject", track_id="x", pose_pair=pose_pair(CAR))] * 2
 BAD = {
-    "scene": ({"scene_id": "nowhere"}, "NOT_FOUND", "'nowhere' is none of drive"),
+    "scene": ({"scene_id": "nowhere"}, "NOT_FOUND", "'nowhere' is not one of drive"),
     "no size": ({"resolution_h": 0}, "INVALID_ARGUMENT", "resolution_h, resolution_w: 0 x 48"),
     "longer than a JPEG file can be": (
         {"resolution_h": 1, "resolution_w": 65_501, "image_format": 2},
@@ -331,7 +331,7 @@ def test_bad_calls_have_a_clear_status(service: SensorsimService) -> None:
         "AggregatedRenderRequest", rgb_requests=[request(resolution_h=3840, resolution_w=2160)] * 5
     )
     for method, data, code, details in (
-        ("render_rgb", b"\xff\xff\xff", "INVALID_ARGUMENT", "is not an RGBRenderRequest"),
+        ("render_rgb", b"\xff\xff\xff", "INVALID_ARGUMENT", "cannot be read as RGBRenderRequest"),
         ("get_available_cameras", b"", "NOT_FOUND", "scene_id: ''"),
         ("batch_render_rgb", twice.SerializeToString(), "INVALID_ARGUMENT", "twice"),
         ("render_aggregated", lidar.SerializeToString(), "UNIMPLEMENTED", "no LiDAR"),

@@ -191,7 +191,7 @@ def broken(part: str, key: str, value: Any) -> dict[str, Any]:
         (broken("Background", "_scales", None), r"models\.Background\._scales: is missing"),
         (
             broken("RigidNodes", "points_ids", torch.full((160, 1), 3)),
-            "names an actor that is none",
+            "names an actor that is not one of",
         ),
         (broken("RigidNodes", "instances_fv", torch.ones(COUNT, 2)), r"instances_fv: has shape"),
         (broken("RigidNodes", "instances_size", torch.zeros(3, 3)), "instances_size: of actor 0"),

@@ -317,7 +317,7 @@ def test_code_in_the_files_is_not_run(tmp_path: Path) -> None:
             write(tmp_path / "4", motion=(hostile,) * 8),
         ]
     ):
-        with pytest.raises(InputError, match=r"mkdir, which is (no tensor and is )?never"):
+        with pytest.raises(InputError, match=r"mkdir, which is (not a tensor and is )?never"):
             import_hugsim(folder, make_log(), tmp_path / f"out{index}", first_frame=FIRST)
         assert not (tmp_path / f"out{index}").exists()
     assert not (tmp_path / "ran").exists()

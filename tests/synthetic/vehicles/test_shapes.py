@@ -104,7 +104,7 @@ def test_open_mesh_and_impossible_sizes_are_refused(tmp_path):
             read_mesh(tmp_path / "car.stl", length=length)
     with pytest.raises(InputError, match="axis of forward"):
         read_mesh(tmp_path / "car.stl", up="x", forward="-x")
-    with pytest.raises(InputError, match="no axis"):
+    with pytest.raises(InputError, match="not an axis"):
         read_mesh(tmp_path / "car.stl", up="w")
     with pytest.raises(InputError, match="material"):
         read_mesh(tmp_path / "car.stl", material="cheese")

@@ -79,7 +79,9 @@ class SensorsimService:
         try:
             asked = parse(request, data)
         except DecodeError:
-            raise RefusedError("INVALID_ARGUMENT", f"the request is not a {request}") from None
+            raise RefusedError(
+                "INVALID_ARGUMENT", f"the request cannot be read as {request}"
+            ) from None
         found: bytes = getattr(self, f"_{method}")(asked, wanted).SerializeToString()
         if len(found) > MOST_BYTES:
             raise RefusedError("RESOURCE_EXHAUSTED", f"the {reply} has {len(found)} bytes")
