@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from recast.core.errors import InputError
 from recast.core.images import decode_image, decode_mask, opened, rgb, rgba
 from recast.recar.ingest.duplicates import Hashes, first_twice, perceptual_hash
+from recast.recar.ingest.outlines import outline_doubts
 from recast.recar.ingest.settings import IngestSettings, VehicleRow
 from recast.recar.set_records import LARGEST_SIDE
 from recast.recar.views import Image, encode_picture
@@ -150,6 +151,7 @@ def prepare(
     """
     pictures: list[bytes] = []
     hashes: list[Hashes] = []
+    alphas: list[NDArray[np.uint8]] = []
     doubts = list(candidate.doubts)
     masks = candidate.masks or (None,) * len(candidate.photographs)
     for path, mask in zip(candidate.photographs, masks, strict=True):
@@ -169,6 +171,7 @@ def prepare(
             raise InputError(
                 path, "alpha", "is zero everywhere: no vehicle was found", "cut it out by hand"
             )
+        alphas.append(picture[..., 3].copy())
         pictures.append(encode_picture(picture))
         hashes.append(perceptual_hash(picture))
     stacked = np.stack(hashes)
@@ -180,4 +183,5 @@ def prepare(
             f"is the same picture as {first.name}",
             "replace it; if both are right, lower `duplicate_bits`",
         )
+    doubts += outline_doubts(alphas, [path.name for path in candidate.photographs])
     return Prepared(tuple(pictures), stacked, tuple(doubts))
