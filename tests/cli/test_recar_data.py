@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import pytest
 
-from recar.photographs import write_photos
+from recar.photographs import write_photos, write_rows
+from recast.cli.main import main
 from recast.cli.recar_sets import Ingest, Pack
 from recast.core.errors import InputError
 from recast.recar import read_set
@@ -45,3 +47,21 @@ def test_bad_options(tmp_path: Path) -> None:
         Pack(tmp_path, tmp_path / "out", "much")()
     with pytest.raises(InputError, match="folder: is missing"):
         Ingest(tmp_path, tmp_path / "set", "CC0-1.0", remover="nowhere")()
+
+
+def test_refusals_name_the_options(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    photos = write_photos(tmp_path / "photos", 2)
+    (photos / "car-1" / "9.png").unlink()
+    begin, end = ["recar", "ingest", str(photos), "--licence", "CC0-1.0"], ["--views", "4"]
+    command = [*begin, "--out", str(tmp_path / "set"), *end]
+    assert main(command) == 2
+    told = "".join(capsys.readouterr())
+    assert "or give --views" in told and "leave them out with --skip-bad" in told
+    assert main([*command, "--skip-bad"]) == 0
+    (listed,) = json.loads((tmp_path / "set" / "ingest.json").read_text())["skipped"]
+    assert listed["mend"] == "add the missing azimuths, or give --views"
+    rows = [{"id": "car-0", "kind": "van", "azimuths_deg": "0 1 2 3"}]
+    write_rows(photos, rows)  # type: ignore[arg-type]
+    capsys.readouterr()
+    assert main([*begin, "--out", str(tmp_path / "walk"), *end, "--layout", "mad-cars"]) == 2
+    assert "give fewer --views, or a larger --azimuth-within" in "".join(capsys.readouterr())

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections import Counter
 from collections.abc import Mapping
 from pathlib import Path
@@ -132,14 +133,18 @@ def write_report(
     out: Path, skipped: Mapping[str, InputError], doubts: Mapping[str, tuple[str, ...]]
 ) -> None:
     """Write ingest.json: every vehicle that is not in the set and why, and every doubt."""
+
+    def shown(text: str) -> str:  # settings in backquotes as options of the command line
+        return re.sub("`([a-z_]+)`", lambda name: "--" + name[1].replace("_", "-"), text)
+
     value = {
         "skipped": [
             {
                 "vehicle": name,
-                "where": error.where,
-                "field": error.field,
+                "where": shown(error.where),
+                "field": shown(error.field),
                 "problem": error.problem,
-                "mend": error.mend,
+                "mend": shown(error.mend),
             }
             for name, error in sorted(skipped.items())
         ],
