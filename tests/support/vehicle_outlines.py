@@ -60,5 +60,5 @@ def _parts() -> list[np.ndarray]:
     angles = np.linspace(0, 2 * np.pi, 32, endpoint=False)
     for x, y in _WHEELS:
         ring = np.stack([x + 0.32 * np.cos(angles), 0 * angles, -0.43 + 0.32 * np.sin(angles)], 1)
-        parts.append(np.concatenate([ring + [0, y + side, 0] for side in (-0.1, 0.1)]))
+        parts.append(np.concatenate([ring + np.array([0, y + side, 0]) for side in (-0.1, 0.1)]))
     return parts

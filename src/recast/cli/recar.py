@@ -11,7 +11,7 @@ import tyro
 from recast.cli import shared
 from recast.cli.actor import MAX_VOXELS, SAMPLING_STEPS
 from recast.cli.output import JSON, console_for, print_json
-from recast.cli.recar_sets import Ingest, Pack, Perturb, Screen
+from recast.cli.recar_sets import Camera, Ingest, Pack, Perturb, Screen
 from recast.cli.recar_train import Assemble, Assets, Autoencoder, Train
 
 
@@ -245,6 +245,7 @@ Recar = shared.group(
         "synth": Synth,
         "stats": Stats,
         "ingest": Ingest,
+        "camera": Camera,
         "pack": Pack,
         "targets": Targets,
         "perturb": Perturb,

@@ -1,4 +1,4 @@
-"""Vehicle sets of `recast recar`: ingest, pack, perturb and screen."""
+"""Vehicle sets of `recast recar`: ingest, camera, pack, perturb and screen."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing import Annotated, Literal
 import tyro
 
 from recast.cli import shared
-from recast.cli.output import console_for, line_of
+from recast.cli.output import JSON, console_for, line_of, print_json
 from recast.core import diagnostics
 
 
@@ -120,6 +120,63 @@ class Ingest:
             markup=False,
             soft_wrap=True,
         )
+
+
+@dataclass(frozen=True)
+class Camera:
+    """Measure the camera of a set from the outlines of its vehicles.
+
+    The photographs must be those of a turntable: one fixed camera, regular azimuths.
+    """
+
+    set: tyro.conf.Positional[Path]
+    """Vehicle set, in folders or shards."""
+    out: Annotated[
+        Path | None,
+        shared.option("Folder of a new set: the same views, centred, with their camera.", "none"),
+    ] = None
+    fov: Annotated[
+        float | None, shared.option("Known horizontal field of view in degrees.", "measured")
+    ] = None
+    json: Annotated[bool, JSON] = False
+
+    def __call__(self) -> None:
+        from rich.table import Table
+
+        from recast.cli.rows.vehicles import camera_rows
+        from recast.core.errors import InputError, printable
+        from recast.recar.shards import open_set
+        from recast.recar.turntable import fit_set, medians, write_fitted
+
+        if self.fov is not None and not 1 <= self.fov <= 170:
+            raise InputError("`fov`", "value", f"is {self.fov}", "give 1 to 170")
+        vehicle_set = open_set(self.set)
+        console = console_for(self.json)
+        fits = fit_set(vehicle_set, self.fov)
+        elevation, fov = medians(fits)
+        rows = camera_rows(vehicle_set, fits)
+        if self.json:
+            print_json(rows)
+        else:
+            table = Table("vehicle", "elevation", "fov", "distance_m", "centre px", "residual px")
+            for row in rows["cameras"]:
+                if row["problem"] is not None:
+                    console.print(row["problem"], markup=False, soft_wrap=True)
+                    continue
+                distance = row["distance_m"]
+                table.add_row(
+                    printable(row["vehicle"]),
+                    f"{row['elevation_deg']:.2f}",
+                    f"{row['fov_deg']:.2f}",
+                    "unknown size" if distance is None else f"{distance:.3f}",
+                    f"{row['centre_x_px']:+.1f}, {row['centre_y_px']:+.1f}",
+                    f"{row['residual_px']:.2f}",
+                )
+            console.print(table)
+        console.print(f"medians: --elevation {elevation:.2f} --fov {fov:.2f}", markup=False)
+        if self.out is not None:
+            write_fitted(vehicle_set, fits, self.out)
+            console.print(f"wrote {self.out}", markup=False, soft_wrap=True)
 
 
 @dataclass(frozen=True)

@@ -7,13 +7,49 @@ from typing import Any
 
 from recast.actors.actor import CandidateRecord
 from recast.cli.output import Rows, with_unit
+from recast.core.errors import InputError
 from recast.evaluation.generation_summary import STUDY_COLUMNS, StudyBlock
 from recast.pipeline.evaluate_actors import ActorEvaluation, TrackResult
 from recast.pipeline.planner_probe import ProbeRow
 from recast.recar.statistics import SetStatistics
 from recast.recar.targets import TargetCache
 from recast.recar.targets.builder import TargetStatistics
+from recast.recar.turntable import TurntableFit
+from recast.recar.views import VehicleSource
 from recast.trellis.checkpoints import ModelCheck
+
+
+def camera_rows(
+    vehicle_set: VehicleSource, fits: Mapping[str, TurntableFit | InputError]
+) -> dict[str, list[dict[str, Any]]]:
+    """Camera of each vehicle of a turntable; `centre` is the box centre's mean offset.
+
+    The offset is from the middle of the image, x to the right, y down. `problem` says why a vehicle
+    has no camera.
+    """
+    rows: list[dict[str, Any]] = []
+    record = vehicle_set.record
+    for name, fit in fits.items():
+        if isinstance(fit, InputError):
+            rows.append({"vehicle": name, "problem": fit.line(None)})
+            continue
+        size = vehicle_set.identities[name].record.size
+        x, y = fit.centres.mean(axis=0) - [record.width / 2, record.height / 2]
+        rows.append(
+            {
+                "vehicle": name,
+                "problem": None,
+                "views": fit.views,
+                "elevation_deg": fit.elevation_deg,
+                "fov_deg": fit.fov_deg,
+                "distance_lengths": fit.distance,
+                "distance_m": None if size is None else fit.distance * size[0],
+                "centre_x_px": x,
+                "centre_y_px": y,
+                "residual_px": fit.residual_px,
+            }
+        )
+    return {"cameras": rows}
 
 
 def candidate_rows(candidates: Sequence[CandidateRecord]) -> Rows:
