@@ -65,7 +65,19 @@ def test_members_are_opened_inside_of_their_folder(name: str, tmp_path: Path) ->
     assert member(tmp_path, name, "scene.json", "file").is_relative_to(tmp_path)
 
 
-OUTSIDE = ["", ".", "..", "../../a", "a/../../b", "/etc/passwd", "a\0", "..\\b", "C:b", "a" * 5000]
+OUTSIDE = [
+    "",
+    ".",
+    "..",
+    "../../a",
+    "a/../../b",
+    "/etc/passwd",
+    "a\0",
+    "..\\b",
+    "C:b",
+    "a" * 5000,
+    "\ud800",
+]
 
 
 @pytest.mark.parametrize("name", OUTSIDE)

@@ -7,6 +7,7 @@ opens what a record names inside of its own folder.
 from __future__ import annotations
 
 import hashlib
+import os
 import re
 from pathlib import Path, PurePosixPath
 
@@ -40,12 +41,13 @@ def member(folder: str | Path, name: str, where: str | Path, field: str) -> Path
         where, field: record and member that name it, for messages.
 
     Raises:
-        InputError: the name is empty, absolute, leads out of the folder or holds a NUL or a
-            backslash.
+        InputError: the name is empty, absolute, leads out of the folder or contains a NUL, a
+            backslash or a character that no file name here can have, such as a lone surrogate.
     """
     path = PurePosixPath(name)
     wrong = not path.parts or path.is_absolute() or ".." in path.parts or len(name) > 4096
-    if wrong or "\0" in name or "\\" in name or (len(name) > 1 and name[1] == ":"):
+    wrong |= "\0" in name or "\\" in name or (len(name) > 1 and name[1] == ":")
+    if wrong or not _is_file_name(name):
         raise InputError(
             where,
             field,
@@ -53,3 +55,11 @@ def member(folder: str | Path, name: str, where: str | Path, field: str) -> Path
             "give a relative path below that folder",
         )
     return Path(folder) / path
+
+
+def _is_file_name(name: str) -> bool:
+    try:
+        os.fsencode(name)
+    except UnicodeEncodeError:
+        return False
+    return True

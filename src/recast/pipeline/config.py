@@ -225,8 +225,8 @@ def resolve_config(
             {**values, **_scenes(values, arms, base, scene_config_file, scene_options)}
         )
     except ValidationError as error:
-        names = {**RunConfig.model_fields, **SceneConfig.model_fields}
-        raise validation_error("options", error, "give a value in range", names) from None
+        fields = {**RunConfig.model_fields, **SceneConfig.model_fields}
+        raise validation_error("options", error, "give a value in range", fields) from None
 
 
 def _scenes(

@@ -20,7 +20,7 @@ from rich.console import Console
 from recast.actors import Actor, load_actor
 from recast.actors.insert import require_model
 from recast.core import Artefact, Store, folder_hash, open_store
-from recast.core.arguments import checked
+from recast.core.arguments import Readers, checked
 from recast.core.errors import InputError
 from recast.core.plugins import SCENES
 from recast.evaluation import RolloutMetrics, rollout_metrics
@@ -55,7 +55,7 @@ from recast.scene.run import CONFIG_FILE
 from recast.simulation import Rollout, load_rollout
 
 Place = str | Path | Store
-_READERS = {DrivingLog: load_log, StreetScene: SCENES.resolve, Rollout: load_rollout}
+_READERS: Readers = {DrivingLog: load_log, StreetScene: SCENES.resolve, Rollout: load_rollout}
 
 
 @checked(_READERS)

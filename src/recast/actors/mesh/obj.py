@@ -179,9 +179,9 @@ def _brightness(values: Array, scale: Array, linear: bool = False) -> Array:
 
 def _triangles(vertices: Array, size: int, flat: array[int]) -> NDArray[np.int64]:
     """(F, 3, 2) corners of triangles of polygons that have `size` corners: fans, if convex."""
-    corners = np.array(flat).reshape(-1, size, 2)
     if size < 3:
         return np.zeros((0, 3, 2), np.int64)
+    corners = np.array(flat).reshape(-1, size, 2)
     second = np.arange(1, size - 1)
     fan = np.stack([np.zeros_like(second), second, second + 1], axis=1)
     if size == 3:
