@@ -235,8 +235,9 @@ class Store:
         for path in sorted(folder.glob("*.json")) if folder.is_dir() else ():
             record = read_record(path, UserRecord, STORE_VERSION, "remove it")
             user = Path(os.path.normpath(self.root / record.folder))
-            if user.is_dir():
-                found[user] = record.references
+            with suppress(OSError):  # such as a name that no folder can have
+                if user.is_dir():
+                    found[user] = record.references
         return found
 
     def leftovers(self) -> list[Path]:
