@@ -80,7 +80,10 @@ Command: Any = Annotated[
 _DESCRIPTION = """Closed-loop driving simulation from recorded logs.
 
 Every command also takes --verbose (show debug records and the tracebacks of errors) and --log-file
-FILE (append the same records to FILE). recast --version prints the version."""
+FILE (append the same records to FILE). recast --version prints the version.
+
+Messages name pages of the documentation, such as docs/install.md; recast doctor prints the folder
+of these pages."""
 
 _LOG = logging.getLogger(__name__)
 

@@ -63,7 +63,7 @@ ARM_HELP = (
     "replaced (a generated vehicle), oracle (the truth of a synthetic log), a generator such as "
     "recast-mini, a street such as omnire or a scene folder, both such as omnire+template, "
     "noise-floor (the truth disturbed in four ways), decomposition (truth and reconstruction in "
-    "all pairings), or a file of arms (docs/runs.md). May be repeated."
+    "all pairings), or a file of arms (docs/runs.md#arms). May be repeated."
 )
 ARM_DEFAULT = "native and replaced"
 ARM = option(ARM_HELP, ARM_DEFAULT)
@@ -130,10 +130,10 @@ STORE_HELP = "Folder or address (s3://...) of the artefacts that runs share."
 PRESET = option(
     "Reconstruction method: streetgs (Street Gaussians) or omnire (OmniRe).", "recast's own"
 )
-CONFIG_HELP = "Configuration file (JSON, docs/runs.md); options override it."
+CONFIG_HELP = "Configuration file (JSON, docs/runs.md#a-configuration-file); options override it."
 SCENE_CONFIG = option(
-    "Scene configuration file (JSON, docs/scenes.md); it overrides the preset, and options "
-    "override it."
+    "Scene configuration file (JSON, docs/scenes.md#configuration); it overrides the preset, and "
+    "options override it."
 )
 CAMERAS = option(
     "Names of the cameras to use.", "all cameras of the log", metavar="NAME [NAME ...]"

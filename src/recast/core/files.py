@@ -59,7 +59,7 @@ def disk_errors(path: str | Path) -> Iterator[None]:
 
     Raises:
         InputError: no space, read-only, forbidden, missing, a folder in place of a file, and so on;
-            or a path that cannot be one. Other errors pass.
+            or a path that cannot be one, in no or in this locale. Other errors pass.
     """
     try:
         yield
@@ -70,6 +70,11 @@ def disk_errors(path: str | Path) -> Iterator[None]:
         named = error.filename if isinstance(error.filename, str) else str(path)
         temporary = named.startswith(str(partial_name(path))) if Path(path).name else False
         raise InputError(path if temporary else named, *fault) from error
+    except UnicodeEncodeError as error:
+        if error.encoding == "utf-8":  # which every name can be written in
+            raise
+        problem = f"cannot be written in the encoding of the locale ({error.encoding})"
+        raise InputError(error.object, "name", problem, "set LC_ALL=C.UTF-8") from error
     except ValueError as error:
         if isinstance(error, InputError) or "null" not in str(error):
             raise

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import os
 import re
 import zipfile
 from collections.abc import Iterator, Mapping
-from contextlib import nullcontext
+from contextlib import ExitStack, contextmanager, nullcontext
 from pathlib import Path
 from pickle import UnpicklingError
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import torch
@@ -108,11 +110,27 @@ def read_safetensors(path: Path, field: str, mend: str) -> tuple[dict[str, Tenso
         if not path.is_file():
             raise InputError(path, field, "is missing or no file", "check the path")
     try:
-        with safe_open(path, framework="pt") as file:
+        with opened_safetensors(path) as file:
             tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
             return tensors, dict(file.metadata() or {})
     except Exception as error:  # of the parser, of torch, of the file system
         raise InputError(path, field, f"cannot be read{_reason(error)}", mend) from None
+
+
+@contextmanager
+def opened_safetensors(path: Path) -> Iterator[Any]:
+    """A safetensors file, open for reading, whatever its name.
+
+    Raises:
+        SafetensorError, OSError: see `safetensors.safe_open`.
+    """
+    with ExitStack() as stack:
+        if os.fsencode(path) != str(path).encode(errors="replace"):
+            # The library takes names as UTF-8 alone.
+            folder = Path(stack.enter_context(TemporaryDirectory()))
+            (folder / "tensors").symlink_to(path.absolute())
+            path = folder / "tensors"
+        yield stack.enter_context(safe_open(path, framework="pt"))
 
 
 def read_header(path: Path, mend: str) -> dict[str, Tensor]:
@@ -137,7 +155,7 @@ def read_header(path: Path, mend: str) -> dict[str, Tensor]:
         )
     tensors = {}
     try:
-        with safe_open(path, framework="pt") as file:
+        with opened_safetensors(path) as file:
             for name in file.keys():  # noqa: SIM118
                 found = file.get_slice(name)
                 if found.get_dtype() not in DTYPES:

@@ -117,7 +117,7 @@ def read_cases(
             folder,
             "set",
             f"has no {SET_FILE}, no {INDEX_FILE} and no ID/input_views",
-            "see docs/data.md, sections Vehicle sets and Real crops",
+            "name a folder of vehicles; see docs/data.md#vehicle-sets",
         )
     return [
         ActorCase(

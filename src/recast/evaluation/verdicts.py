@@ -12,12 +12,11 @@ from pathlib import Path
 
 import numpy as np
 import pyarrow as pa
-import pyarrow.parquet as pq
 
-from recast.core import files
 from recast.evaluation.grid import GridRow
 from recast.evaluation.pairs import Bootstrap, cluster_bootstrap, over_common_steps
 from recast.evaluation.table import COLUMNS
+from recast.tables import write_parquet
 
 SCHEMA = pa.schema(
     [
@@ -207,8 +206,7 @@ def write_rows(rows: Sequence[GridRow], path: Path, truth: str | None) -> None:
         truth: the arm that renders the truth; None if none does.
     """
     records = [_record(*pair) for pair in zip(rows, verdicts(rows, truth), strict=True)]
-    with files.atomic_file(path) as partial:
-        pq.write_table(pa.Table.from_pylist(records, schema=SCHEMA), partial)
+    write_parquet(path, pa.Table.from_pylist(records, schema=SCHEMA))
 
 
 def _record(row: GridRow, verdict: Verdict | None) -> dict[str, object]:

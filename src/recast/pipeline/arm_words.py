@@ -20,7 +20,7 @@ from recast.weights import PUBLISHED
 NOISE_FLOOR = "noise-floor"
 """The word for the truth under each kind of noise."""
 _LARGEST_FILE = 1_000_000  # bytes
-_MEND = "see docs/runs.md for what an arm is"
+_MEND = "correct it; see docs/runs.md#arms"
 _ALL_NOISE = "noise"
 
 

@@ -191,7 +191,9 @@ def read_run_config(path: str | Path) -> RunConfig:
     value = read_json(path)
     if isinstance(value, dict) and isinstance(value.get("config"), dict):
         value = value["config"]
-    return parse_record(path, value, RunConfig, CONFIG_VERSION, "correct it, see docs/runs.md")
+    return parse_record(
+        path, value, RunConfig, CONFIG_VERSION, "correct it; see docs/runs.md#a-configuration-file"
+    )
 
 
 def resolve_config(

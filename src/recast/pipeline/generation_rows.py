@@ -37,7 +37,7 @@ ROWS_FORMAT = "recast-generation-rows"
 ROWS_VERSION = 1
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,39}")
 _MOST_ROWS = 64
-_MEND = "correct the study file; docs/recar.md, section Judging a model"
+_MEND = "correct the study file; see docs/recar.md#judging-a-model"
 
 
 @dataclass(frozen=True)

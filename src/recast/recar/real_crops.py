@@ -35,7 +35,7 @@ INPUT_VIEWS, RESERVED_VIEWS = "input_views", "reserved_views"
 CAMERA_FILE = "camera.json"
 _UNIT_WITHIN = 1e-3
 _SIZE_WITHIN = 1e-3  # metres between the boxes of both folders
-_MEND = "see docs/data.md, section Real crops"
+_MEND = "correct it; see docs/data.md#real-crops"
 
 Direction = tuple[FiniteFloat, FiniteFloat, FiniteFloat]
 Degrees = Annotated[FiniteFloat, Field(gt=0, lt=180)]

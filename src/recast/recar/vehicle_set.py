@@ -38,7 +38,7 @@ from recast.recar.views import (
     encode_picture,
 )
 
-_MEND = "see docs/data.md, section Vehicle sets"
+_MEND = "write the set again; see docs/data.md#vehicle-sets"
 _MEND_OUT = "name another folder, or use the options of the set in it"
 
 

@@ -41,7 +41,7 @@ Members = Mapping[str, NDArray[Any]]
 
 MOST_VERTICES, MOST_SHAPES = 200_000, 1000
 MOST_BYTES = 2_000_000_000
-_MODEL_MEND = "save the members of docs/scenes.md with numpy.savez"
+_MODEL_MEND = "save the arrays with numpy.savez; see docs/scenes.md#bodies-on-a-skeleton"
 _PARTS = ("timestamps_us", "betas", "global_orient", "body_pose", "transl")
 
 

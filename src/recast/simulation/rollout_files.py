@@ -21,18 +21,17 @@ from typing import TYPE_CHECKING, Annotated, Literal, TypeVar
 
 import numpy as np
 import pyarrow as pa
-import pyarrow.parquet as pq
 from numpy.typing import NDArray
 from pydantic import BeforeValidator
 
 from recast.arrays import Array
 from recast.core.errors import InputError
-from recast.core.files import atomic_file, atomic_folder, write_json
+from recast.core.files import atomic_folder, write_json
 from recast.core.records import Record, read_record
 from recast.planning import WAYPOINTS
 from recast.simulation.rollout import EGO_COLUMNS, PATH_COLUMNS, Rollout
 from recast.simulation.state import ControlledActor
-from recast.tables import Table, read_parquet
+from recast.tables import Table, read_parquet, write_parquet
 
 if TYPE_CHECKING:
     from recast.simulation.coverage import RolloutCoverage
@@ -166,7 +165,7 @@ def save_rollout(rollout: Rollout, folder: str | Path) -> None:
     with atomic_folder(folder) as partial:
         write_json(partial / "rollout.json", json.loads(header.model_dump_json(exclude=empty)))
         for name, columns in tables.items():
-            pq.write_table(pa.table(columns), partial / f"{name}.parquet")
+            write_parquet(partial / f"{name}.parquet", pa.table(columns))
 
 
 def load_rollout(folder: str | Path) -> Rollout:
@@ -240,8 +239,7 @@ def save_coverage(coverage: RolloutCoverage, path: str | Path) -> None:
     for name in ("pixels", *SHARES):
         values = [getattr(image.coverage, name) for image in images]
         columns[name] = pa.array(values, pa.float64())
-    with atomic_file(path) as partial:
-        pq.write_table(pa.table(columns), partial)
+    write_parquet(Path(path), pa.table(columns))
 
 
 def load_coverage(path: str | Path) -> RolloutCoverage:

@@ -94,7 +94,7 @@ def _kind(motion: AnyMotion) -> str:
 
 def _motions(root: Node) -> tuple[ScriptedMotion, ...]:
     if not isinstance(root.value, dict):
-        mend = f"begin with version: {VERSION}, see docs/scenarios.md"
+        mend = f"begin with version: {VERSION}; see docs/scenarios.md#your-own-as-a-file"
         raise root.error("scenario", "is not a list of keys", mend)
     version = _required(root, "version", f"write version: {VERSION}")
     if isinstance(version.value, bool) or version.value != VERSION:

@@ -95,5 +95,5 @@ def motion(name: str | Path | AnyMotion | Scenario) -> AnyMotion | Scenario:
         "motion",
         type(name).__name__,
         "is not a motion: it needs name, setting, and start and step, or script",
-        "see docs/scenarios.md",
+        "give a motion; see docs/scenarios.md#your-own-in-python",
     )

@@ -30,8 +30,8 @@ _ROUTE_ON_MAP = 0.5
 _TOLERANCE = 0.3
 """Metres beside the drivable area that still count as on the map, as in the metric DAC."""
 _TOUCHING = 1e-9
-_SCRIPT_MEND = "see docs/scenarios.md for what a motion's script is"
-_STEP_MEND = "return x, y, heading, speed >= 0, see docs/scenarios.md"
+_SCRIPT_MEND = "correct the script; see docs/scenarios.md#your-own-in-python"
+_STEP_MEND = "return x, y, heading, speed >= 0; see docs/scenarios.md#your-own-in-python"
 
 
 def refuse_starts(

@@ -14,7 +14,7 @@ file that another library is about to read. For each of them holds:
 
 from recast.tables.arrow import ROW_LIMIT, Table, check_batches, read_feather
 from recast.tables.npy import npz_array, npz_names, open_npz, read_npy, read_npz
-from recast.tables.parquet import ParquetRows, read_parquet
+from recast.tables.parquet import ParquetRows, read_parquet, write_parquet
 
 __all__ = [
     "ROW_LIMIT",
@@ -28,4 +28,5 @@ __all__ = [
     "read_npy",
     "read_npz",
     "read_parquet",
+    "write_parquet",
 ]

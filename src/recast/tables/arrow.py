@@ -6,6 +6,7 @@ The size of a file in memory is known before it is decompressed.
 from __future__ import annotations
 
 import mmap
+import os
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -249,7 +250,7 @@ def check_batches(path: Path, mend: str, limit: int) -> None:
             largest = max((size for _, size in _batch_sizes(data)), default=0)
         if largest > limit:
             raise InputError(path, "Arrow file", f"a batch claims {largest} bytes", mend)
-        with pa.memory_map(str(path)) as source:
+        with pa.memory_map(os.fsencode(path)) as source:
             reader = ipc.open_file(source, options=ipc.IpcReadOptions(use_threads=False))
             for i in range(reader.num_record_batches):
                 reader.get_batch(i).validate(full=True)

@@ -7,6 +7,7 @@ refuses. Source: https://github.com/apache/parquet-format (parquet.thrift, Encod
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,6 +18,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from recast.core.errors import InputError
+from recast.core.files import atomic_file
 from recast.tables.arrow import ROW_LIMIT, Table, arrow_errors, require_plain
 from recast.tables.encodings import Compact
 
@@ -73,6 +75,16 @@ def read_parquet(
     return Table(Path(path), mend, pa.Table.from_batches(batches, rows.schema))
 
 
+def write_parquet(path: Path, table: pa.Table) -> None:
+    """Write a table, whole or not at all; the same table gives the same bytes.
+
+    Raises:
+        InputError: the disk refuses.
+    """
+    with atomic_file(path) as partial, partial.open("wb") as stream:
+        pq.write_table(table, stream)
+
+
 class ParquetRows:
     """Some columns of a parquet file, read piece by piece.
 
@@ -97,10 +109,11 @@ class ParquetRows:
         if not self._path.is_file():
             raise InputError(path, "file", "is missing", mend)
         with arrow_errors(self._path, "parquet file", mend):
-            with self._path.open("rb") as stream:
-                self._leaves, self._groups = read_footer(stream, self._path.stat().st_size)
+            with self._path.open("rb") as file:
+                self._leaves, self._groups = read_footer(file, self._path.stat().st_size)
             # Column chunks are read bit by bit: whole, those of a row group may be 100 MB.
-            self._file = pq.ParquetFile(self._path, buffer_size=1 << 20)
+            stream = pa.OSFile(os.fsencode(self._path))  # a text would be taken as UTF-8
+            self._file = pq.ParquetFile(stream, buffer_size=1 << 20)
             schema = self._file.schema_arrow
             require_plain(self._path, schema, columns, mend)
             self.schema = pa.schema([schema.field(name) for name in columns])

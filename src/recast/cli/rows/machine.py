@@ -10,6 +10,7 @@ import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
 from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
 
 from rich.console import Console
 from rich.markup import escape
@@ -65,7 +66,15 @@ class Finding:
 
 def examine() -> list[Finding]:
     """Look at everything recast can use."""
-    return [*_platform(), _kernel(), *_cuda(), *_optional(), *_seams(), _weights()]
+    return [
+        *_platform(),
+        _pages(),
+        _kernel(),
+        *_cuda(),
+        *_optional(),
+        *_seams(),
+        _weights(),
+    ]
 
 
 def findings_table(findings: list[Finding]) -> Table:
@@ -88,6 +97,12 @@ def _platform() -> list[Finding]:
         Finding("packages", None, packages),
         Finding("cpu", None, _cores()),
     ]
+
+
+def _pages() -> Finding:
+    package = Path(__file__).parents[2]
+    folders = (package / "docs", package.parents[1] / "docs")  # of a wheel, of a checkout
+    return Finding("docs", None, next((str(one) for one in folders if one.is_dir()), "missing"))
 
 
 def _kernel() -> Finding:

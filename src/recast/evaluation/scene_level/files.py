@@ -8,12 +8,11 @@ from typing import Any
 
 import numpy as np
 import pyarrow as pa
-import pyarrow.parquet as pq
 
-from recast.core import files
 from recast.evaluation.scene_level.scores import COLUMNS, IMAGE_SCORES, image_scores
 from recast.evaluation.scene_level.summary import LevelRow, MeasuredScene, Value
 from recast.evaluation.table import rounded
+from recast.tables import write_parquet
 
 _COLUMNS = ("fd_scene", "clip_margin", "vqa_margin", "fd_crop", "clip_img", "clip_veh", "lpips")
 _ROWS = {
@@ -60,8 +59,7 @@ def write_images(scenes: Mapping[str, MeasuredScene], path: Path) -> None:
                         **{key: _number(values[index]) for key, values in scores.items()},
                     }
                 )
-    with files.atomic_file(path) as partial:
-        pq.write_table(pa.Table.from_pylist(rows, schema=SCHEMA), partial)
+    write_parquet(path, pa.Table.from_pylist(rows, schema=SCHEMA))
 
 
 def results_json(

@@ -42,7 +42,10 @@ RIG_FROM_LIDAR = se3.from_rotation_translation(np.eye(3), [1.43, 0.0, 2.18])
 """About where Waymo's top LiDAR stands: the file does not say which of five saw a point."""
 _LARGEST = 1 << 28
 """Bytes of a sweep."""
-_CONVERT = "convert it as docs/data.md says, or remove it to do without LiDAR"
+_CONVERT = (
+    "convert it, or remove it to do without LiDAR; "
+    "see docs/data.md#street-gaussians-processed-scenes"
+)
 
 
 @dataclass(frozen=True)

@@ -28,7 +28,7 @@ Poses = dict[str, NDArray[np.float64]]
 
 MOST_BYTES = 1 << 28
 """Most bytes of a file of poses; COLMAP's lists the features of every photograph too."""
-_MEND = "write the poses anew; docs/recar.md, section Walk-arounds"
+_MEND = "write the poses again; see docs/recar.md#walk-arounds"
 _RIGID_WITHIN = 1e-3
 _OPENCV_FROM_OPENGL = np.diag([1.0, -1.0, -1.0, 1.0])
 

@@ -31,7 +31,7 @@ from recast.recar.set_records import (
 MOST_BYTES = 1 << 26
 """Most bytes of a table."""
 TABLES = ("vehicles.csv", "vehicles.json")
-_MEND = "correct the row; docs/data.md lists the columns"
+_MEND = "correct it; see docs/recar.md#sets"
 
 
 @dataclass(frozen=True)
@@ -239,7 +239,7 @@ def _raw_rows(path: Path) -> list[tuple[str, dict[str, Any]]]:
     if path.suffix.lower() == ".json":
         found = files.read_json(path)
         if not isinstance(found, list) or not all(isinstance(row, dict) for row in found):
-            raise InputError(path, "JSON", "is no list of objects", _MEND)
+            raise InputError(path, "JSON", "is not a list of objects", _MEND)
         return [(f"{path}: entry {place}", row) for place, row in enumerate(found, 1)]
     text = files.read_text(path, MOST_BYTES).removeprefix("\ufeff")
     first = text.partition("\n")[0]
@@ -254,7 +254,7 @@ def _raw_rows(path: Path) -> list[tuple[str, dict[str, Any]]]:
 
 def _heading_fault(names: Sequence[str]) -> str | None:
     if unknown := set(names) - VehicleRow.model_fields.keys():
-        return f"{min(unknown)!r} is no column"
+        return f"{min(unknown)!r} is not a column"
     if not {"id", "kind"} <= set(names):
         return "id and kind are needed"
     return "names a column twice" if len(set(names)) < len(names) else None

@@ -168,7 +168,7 @@ def read_stage_config(path: Path) -> StageConfig:
     Raises:
         InputError: no such file or preset, a member unknown or out of range.
     """
-    mend = "see docs/recar.md, section Training"
+    mend = "correct it; see docs/recar.md#training"
     values = read_json(path)
     if not isinstance(values, dict):
         raise InputError(path, "JSON", "is not an object", mend)

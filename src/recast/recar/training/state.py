@@ -11,14 +11,14 @@ from pathlib import Path
 
 import torch
 from pydantic import Field, FiniteFloat, ValidationError
-from safetensors import SafetensorError, safe_open
+from safetensors import SafetensorError
 from safetensors.torch import save_file
 from torch import Tensor, nn
 
 from recast.core.errors import InputError
 from recast.core.files import atomic_file, parse_json
 from recast.core.records import Record, validation_error
-from recast.core.torch_file import read_safetensors
+from recast.core.torch_file import opened_safetensors, read_safetensors
 from recast.recar.training.task import Means, TrainerSettings
 from recast.trellis.flow_matching import AdaptiveGradClipper, ExponentialMovingAverage
 
@@ -171,7 +171,7 @@ def steps_done(folder: Path) -> int:
     if not path.exists():
         return 0
     try:
-        with safe_open(path, framework="pt") as file:
+        with opened_safetensors(path) as file:
             texts = file.metadata() or {}
     except (SafetensorError, OSError) as error:
         raise InputError(path, "state", f"cannot be read ({error})", _MEND) from None

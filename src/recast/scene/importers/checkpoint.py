@@ -17,7 +17,7 @@ from recast.core.pickled import PickledArray, PickledQuaternion
 from recast.core.torch_file import read_torch_file
 from recast.splats import Gaussians
 
-MEND = "give a checkpoint of the published layout (docs/scenes.md)"
+MEND = "give a checkpoint of the published layout; see docs/scenes.md#scenes-that-others-trained"
 REST_COUNTS = (0, 3, 8, 15)
 """Harmonics above the constant one, by degree."""
 RESAMPLED = "sky cubemap, resampled"

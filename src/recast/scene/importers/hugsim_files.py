@@ -36,7 +36,7 @@ CONSTANT = "features_dc"
 MOTION = ("a", "b", "v", "pitchroll", "yaw", "h", "train_timestamp", "delta")
 THICKNESS_M = 0.001
 """Standard deviation of the ground's Gaussians along the vertical axis."""
-_MEND = "take the scene as HUGSIM exports it (docs/howto/published_streets.md)"
+_MEND = "give a scene as HUGSIM exports it; see docs/howto/published_streets.md"
 
 
 def read_members(path: Path) -> tuple[Table, int | None]:

@@ -58,7 +58,7 @@ from recast.scene.sky import sky_from_cubemap
 from recast.scene.street_scene import SceneActor, StreetScene
 from recast.splats import concatenate
 
-_SAME_LOG = "give the log of the same drive (docs/howto/published_streets.md)"
+_SAME_LOG = "give the log of the same drive; see docs/howto/published_streets.md"
 
 
 def import_mtgs(
