@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import warnings
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -130,3 +131,11 @@ def test_every_way_to_a_log_asks(log: DrivingLog, tmp_path: Path) -> None:
         read_log(tmp_path / "log")
     with pytest.warns(OddLogWarning, match=words):
         load_log(tmp_path / "log")
+
+
+def test_a_gap_of_decades_takes_no_memory(log: DrivingLog) -> None:
+    trajectory = log.world_from_rig
+    times = trajectory.timestamps_us.copy()
+    times[-1] += 1_700_000_000_000_000
+    stretched = replace(log, world_from_rig=replace(trajectory, timestamps_us=times))
+    assert plausibility(stretched, sensors=False).figures.speed < 20.0

@@ -293,7 +293,7 @@ def test_none_is_good(tmp_path: Path) -> None:
     [
         (None, r"vehicles\.csv or vehicles\.json: is missing"),
         ("id,kind\n", "vehicles: are none"),
-        ("id,kind,paint\ncar-0,van,red\n", "heading: 'paint' is no column"),
+        ("id,kind,paint\ncar-0,van,red\n", "heading: 'paint' is not a column"),
         ("id\ncar-0\n", "heading: id and kind are needed"),
         ("id,kind\ncar-0,van\ncar-0,van\n", "car-0 .*has 2 rows"),
         ("id,kind\n../car,van\n", "id: Value error, expected at most 100"),

@@ -55,8 +55,10 @@ def edit_json(path: Path, change: Callable[[dict[str, Any]], object]) -> None:
     path.write_text(json.dumps(value))
 
 
-def edit_weights(folder: Path, change: Callable[[dict[str, Tensor]], object]) -> None:
-    path = folder / f"{DECODER}.safetensors"
+def edit_weights(
+    folder: Path, change: Callable[[dict[str, Tensor]], object], model: str = DECODER
+) -> None:
+    path = folder / f"{model}.safetensors"
     tensors = {name: tensor.clone() for name, tensor in load_file(path).items()}
     change(tensors)
     path.unlink()
@@ -155,6 +157,14 @@ def test_wrong_weights(
     line = refused(folder)
     assert message in line
     assert "ckpts/ss_dec.safetensors" in line
+
+
+def test_wrong_weights_of_the_image_encoder(folder: Path) -> None:
+    path = next(path for path in (folder / "ckpts").glob("*.safetensors") if "dino" in path.name)
+    name = next(iter(load_file(path)))
+    edit_weights(folder, lambda t: t[name].view(-1)[0].fill_(torch.nan), f"ckpts/{path.stem}")
+    with pytest.raises(InputError, match=f"{path.name}: {name}: holds NaN"):
+        load_checkpoint(folder)
 
 
 def test_weights_beyond_half_precision(folder: Path) -> None:

@@ -58,6 +58,8 @@ SLOWEST = 2.0
 over `CHORD` seconds."""
 CHORD = 0.5
 """Seconds over which a direction of motion is measured."""
+MOST_STEPS = 100_000
+"""Steps in which a trajectory is looked at, at most: half a second each in a drive of 14 hours."""
 FASTEST_REVERSING = 4.0
 """Metres a second: a reverse gear at idle and a driver who looks back do less for a whole drive."""
 MOST_FRAMES = 500.0
@@ -379,7 +381,7 @@ class _Motion:
         seconds = _seconds(trajectory)
         if seconds <= 0:
             return None
-        count = max(1, int(seconds / CHORD))
+        count = max(1, int(seconds / _step(trajectory, CHORD)))
         first, last = trajectory.timestamps_us[[0, -1]]
         times = np.linspace(first, last, count + 1).astype(np.int64)
         poses = trajectory.at(times)
@@ -414,6 +416,11 @@ def _seconds(trajectory: Trajectory) -> float:
     return float(trajectory.timestamps_us[-1] - trajectory.timestamps_us[0]) / 1e6
 
 
+def _step(trajectory: Trajectory, wanted: float) -> float:
+    """Seconds of a step: as wanted, or longer where `MOST_STEPS` would not reach the end."""
+    return max(wanted, _seconds(trajectory) / MOST_STEPS)
+
+
 def _leans(poses: Array) -> Array:
     return np.degrees(np.arccos(np.clip(poses[:, 2, 2], -1.0, 1.0)))
 
@@ -430,18 +437,21 @@ def _speed(trajectory: Trajectory) -> float:
     """Fastest speed over a second; over the whole drive if that is shorter."""
     seconds = _seconds(trajectory)
     if seconds >= 1.0:
-        places = _places(trajectory, 0.5)
-        return float(np.linalg.norm(places[2:] - places[:-2], axis=1).max(initial=0.0))
+        step = _step(trajectory, 0.5)
+        places = _places(trajectory, step)
+        ways = np.linalg.norm(places[2:] - places[:-2], axis=1)
+        return float(ways.max(initial=0.0) / (2 * step))
     moved = np.linalg.norm(trajectory.poses[-1, :3, 3] - trajectory.poses[0, :3, 3])
     # Within a metre it may be noise of the positions.
     return float(moved / seconds) if moved > 1.0 else 0.0
 
 
 def _acceleration(trajectory: Trajectory) -> float | None:
-    places = _places(trajectory, 1.0)[:, :2]
+    step = _step(trajectory, 1.0)
+    places = _places(trajectory, step)[:, :2]
     if len(places) < 3:
         return None
-    return float(np.linalg.norm(np.diff(places, 2, axis=0), axis=1).max())
+    return float(np.linalg.norm(np.diff(places, 2, axis=0), axis=1).max() / step**2)
 
 
 def _time_findings(log: DrivingLog) -> Iterator[tuple[bool, Finding]]:
