@@ -33,8 +33,9 @@ import torch
 from raster import CAMERA, street, view
 from torch import Tensor
 
+from recast.cameras import PinholeCamera
 from recast.core.errors import InputError
-from recast.geometry import PinholeCamera, se3
+from recast.geometry import se3
 from recast.scene import SceneConfig, StreetScene
 from recast.scene.initialise import Initialisation
 from recast.scene.points import DepthSamples

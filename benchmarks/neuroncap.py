@@ -25,12 +25,13 @@ from starlette.requests import Request
 from starlette.responses import JSONResponse, Response
 from starlette.routing import Route
 
+from recast.cameras import CameraMount, PinholeCamera
 from recast.core.json_service import JsonService
 from recast.core.web_server import WebServer
 from recast.dynamics import make_state
-from recast.geometry import PinholeCamera, Polyline, se3
+from recast.geometry import Polyline, se3
 from recast.logs.types import Trajectory
-from recast.planning import CameraMount, PlannerInput, PlanningContext
+from recast.planning import PlannerInput, PlanningContext
 from recast.planning.route import DrivingCommand, ReferenceRoute
 from recast.protocols.neuroncap import NcapService, ncap_app
 from recast.protocols.neuroncap.planner import NeuroNcapPlanner, infer_body

@@ -22,11 +22,11 @@ import numpy as np
 import torch
 from raster import street
 
+from recast.cameras import CameraMount
 from recast.geometry import se3
 from recast.logs import Track
 from recast.pipeline.gtrs_data.stage import Stage, make_stage
 from recast.planning import (
-    CameraMount,
     LogReplay,
     Plan,
     Planner,

@@ -25,8 +25,8 @@ import psutil
 import torch
 from raster import street
 
-from recast.geometry import PinholeCamera, se3
-from recast.planning import CameraMount
+from recast.cameras import CameraMount, PinholeCamera
+from recast.geometry import se3
 from recast.protocols.alpasim.cameras import camera_message
 from recast.protocols.alpasim.messages import CHANNEL_OPTIONS, SENSORSIM_SERVICES, message, parse
 from recast.protocols.alpasim.poses import pose_pair

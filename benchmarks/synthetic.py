@@ -24,7 +24,8 @@ from unittest.mock import patch
 
 import numpy as np
 
-from recast.geometry import PinholeCamera, se3
+from recast.cameras import PinholeCamera
+from recast.geometry import se3
 from recast.synthetic.rendering import WAYMO_TOP, RayScene, compiled, render_camera, scan_lidar
 from recast.synthetic.rendering.camera import LONELY_SAMPLES, camera_rays
 from recast.synthetic.rendering.lighting import LightFilter, add_light_samples, sample_light

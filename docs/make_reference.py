@@ -44,7 +44,8 @@ PACKAGES = {
     "recast.trellis": "Image-to-3D model",
     "recast.splats": "Gaussians and the rasterizer",
     "recast.dynamics": "Vehicle dynamics",
-    "recast.geometry": "Poses, cameras and boxes",
+    "recast.geometry": "Poses and boxes",
+    "recast.cameras": "Cameras, lenses and mounts",
     "recast.core": "Store of artefacts",
     "recast.weights": "Published weights",
 }

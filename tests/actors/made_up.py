@@ -12,7 +12,8 @@ from recast.actors.template.cloud import build_cloud
 from recast.actors.template.generator import _gaussians
 from recast.actors.template.proportions import STYLES
 from recast.actors.template.texture import Texture
-from recast.geometry import PinholeCamera, se3
+from recast.cameras import PinholeCamera
+from recast.geometry import se3
 from recast.geometry.colour import gamma_to_linear
 from recast.logs import CameraStream, DrivingLog, LidarStream, LidarSweep, Track, Trajectory
 from recast.splats import Gaussians, rasterize

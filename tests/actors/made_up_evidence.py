@@ -9,7 +9,8 @@ from actors import made_up
 from recast.actors.carve import FreeSpace
 from recast.actors.drawing import look_at
 from recast.actors.evidence import Evidence, Sighting
-from recast.geometry import PinholeCamera, se3
+from recast.cameras import PinholeCamera
+from recast.geometry import se3
 from recast.logs import Trajectory
 from recast.scene import SceneActor, SkyMap, StreetScene
 from recast.splats import Gaussians, rasterize

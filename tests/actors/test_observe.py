@@ -17,8 +17,9 @@ from recast.actors import (
     observe,
 )
 from recast.actors.views import NearestSweeps, ViewPool, check_lidar, score_frame
+from recast.cameras import box_rectangle
 from recast.core.errors import InputError
-from recast.geometry import boxes, se3
+from recast.geometry import se3
 from recast.logs import DrivingLog, Track
 from recast.pipeline.actor import ActorMakers, make_actor
 from recast.scene import SceneConfig
@@ -58,7 +59,7 @@ def test_the_explanation_names_every_term(observation: Observation) -> None:
 def test_crop_camera_sees_what_the_image_shows(
     observation: Observation, street: DrivingLog
 ) -> None:
-    box = boxes.project(observation.size, observation.camera_from_object, observation.camera)
+    box = box_rectangle(observation.size, observation.camera_from_object, observation.camera)
     height, width = observation.rgba.shape[:2]
     assert (observation.camera.width, observation.camera.height) == (width, height)
     assert box is not None
@@ -67,7 +68,7 @@ def test_crop_camera_sees_what_the_image_shows(
     image = street.cameras["front"].images[1]
     found = cv2.matchTemplate(image, observation.rgba[..., :3], cv2.TM_SQDIFF)
     _, _, corner, _ = cv2.minMaxLoc(found)
-    full = boxes.project(observation.size, observation.camera_from_object, made_up.CAMERA)
+    full = box_rectangle(observation.size, observation.camera_from_object, made_up.CAMERA)
     assert full is not None
     np.testing.assert_allclose(box + np.array([*corner, *corner]), full)
 

@@ -15,7 +15,7 @@ from recast.actors.observe import observation_of_view
 from recast.actors.template.placement import contour
 from recast.actors.template.proportions import FITTED, STYLES, _Problem, fit_shape
 from recast.actors.template.texture import SurfaceView, balanced, blended
-from recast.geometry import PinholeCamera
+from recast.cameras import PinholeCamera
 from recast.geometry.colour import gamma_to_linear, linear_to_gamma
 from recast.splats import Gaussians, rasterize
 

@@ -13,14 +13,15 @@ import pytest
 from gymnasium.utils.env_checker import check_env
 from gymnasium.vector import AsyncVectorEnv
 
+from recast.cameras import CameraMount, PinholeCamera
 from recast.core.errors import InputError
 from recast.dynamics import state as ego
 from recast.envs import ENV_ID, DrivingEnv, ProgressReward
 from recast.envs.spaces import ACTOR_COLUMNS
-from recast.geometry import PinholeCamera, se2
+from recast.geometry import se2
 from recast.logs import write_log
 from recast.logs.hdmap import HdMap
-from recast.planning import CameraMount, ConstantVelocity
+from recast.planning import ConstantVelocity
 from recast.simulation import MOTIONS, Idm, NullRenderer, RolloutSetup, run_rollout
 from simulation.synthetic_drives import drive
 

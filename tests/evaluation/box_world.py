@@ -8,9 +8,9 @@ import numpy as np
 import torch
 
 from recast.actors.coverage import Shares
-from recast.geometry import PinholeCamera, se2, se3
+from recast.cameras import CameraMount, PinholeCamera
+from recast.geometry import se2, se3
 from recast.logs.types import CameraStream, DrivingLog, Track, Trajectory
-from recast.planning import CameraMount
 from recast.scene import SceneActor, SkyMap, StreetScene
 from recast.splats import Gaussians
 

@@ -10,10 +10,11 @@ import pytest
 from evaluation.box_world import CAMERA, RIG_FROM_CAMERA, SIZE, box_log
 from evaluation.rollouts import make_rollout, straight_plans
 from recast.actors.coverage import NOTHING, Coverage
+from recast.cameras import box_rectangle
 from recast.evaluation import rollout_metrics
 from recast.evaluation.trust import FEATURES, GivenCamera, HeldOutFrame, RecordedViews
 from recast.evaluation.trust.features import SHARES, plan_changes, trust_features
-from recast.geometry import boxes, se2, se3
+from recast.geometry import se2, se3
 from recast.simulation import Rollout
 from recast.simulation.coverage import ImageCoverage, RolloutCoverage
 
@@ -153,7 +154,7 @@ def test_how_the_vehicle_is_shown(yaw: float, side: str) -> None:
     found = features(made)
     assert found.view is not None and found.view.side == side
     camera_from_actor = se3.inverse(RIG_FROM_CAMERA) @ se2.to_se3(np.array([16.0, 0, yaw]), 0.8)
-    rectangle = boxes.project(np.array([4.5, 1.9, 1.6]), camera_from_actor, CAMERA)
+    rectangle = box_rectangle(np.array([4.5, 1.9, 1.6]), camera_from_actor, CAMERA)
     assert rectangle is not None
     inside = np.clip(rectangle, 0, [CAMERA.width, CAMERA.height] * 2)
     area = (inside[2] - inside[0]) * (inside[3] - inside[1])

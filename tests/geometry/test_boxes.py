@@ -7,7 +7,8 @@ import shapely.affinity
 from hypothesis import given
 from hypothesis import strategies as st
 
-from recast.geometry import PinholeCamera, boxes, se2, se3
+from recast.cameras import PinholeCamera, box_rectangle
+from recast.geometry import boxes, se2, se3
 
 from .strategies import planar_poses, transforms
 
@@ -102,7 +103,7 @@ def box_ahead(x, y=0.0, heading=0.0):
 
 
 def test_projection_of_a_box_ahead():
-    left, top, right, bottom = boxes.project([4.0, 2.0, 2.0], box_ahead(12.0), CAMERA)
+    left, top, right, bottom = box_rectangle([4.0, 2.0, 2.0], box_ahead(12.0), CAMERA)
     assert (left, right) == (400 - 50, 400 + 50)  # the near face, 10 m away
     assert (top, bottom) == (300 - 50, 300 + 50)
 
@@ -113,7 +114,7 @@ def test_projection_bounds_every_visible_point_of_the_box(x, y, heading, fractio
     rng = np.random.default_rng(0)
     points = se3.apply(pose, rng.uniform(-0.5, 0.5, (200, 3)) * size)
     visible = points[points[:, 2] >= 0.1]
-    rectangle = boxes.project(size, pose, CAMERA)
+    rectangle = box_rectangle(size, pose, CAMERA)
     if rectangle is None:
         assert len(visible) == 0
         return
@@ -125,13 +126,13 @@ def test_projection_bounds_every_visible_point_of_the_box(x, y, heading, fractio
 
 def test_a_box_beside_the_camera_keeps_a_correct_outline():
     """Half of it lies behind the camera: its corners there would mirror to the other side."""
-    rectangle = boxes.project([6.0, 2.0, 1.5], box_ahead(1.0, 3.0), CAMERA)
+    rectangle = box_rectangle([6.0, 2.0, 1.5], box_ahead(1.0, 3.0), CAMERA)
     assert rectangle[2] < 400  # wholly to the left
     assert rectangle[0] < 0
 
 
 def test_a_box_behind_is_not_seen():
-    assert boxes.project([4.0, 2.0, 1.5], box_ahead(-10.0), CAMERA) is None
+    assert box_rectangle([4.0, 2.0, 1.5], box_ahead(-10.0), CAMERA) is None
 
 
 @given(planar_poses, planar_poses)

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from recast.geometry import PinholeCamera, se3
+from recast.cameras import PinholeCamera
+from recast.geometry import se3
 from recast.logs import CameraStream, DrivingLog, LidarStream, LidarSweep, Track, Trajectory
 
 

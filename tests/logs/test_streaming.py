@@ -13,8 +13,8 @@ import numpy as np
 import pytest
 
 from logs.importing import import_drive
+from recast.cameras import PinholeCamera
 from recast.cli.main import main
-from recast.geometry import PinholeCamera
 from recast.logs import (
     CameraStream,
     DrivingLog,

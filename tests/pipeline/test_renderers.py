@@ -8,11 +8,11 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from recast.cameras import CameraMount
 from recast.pipeline.arm_words import parse_arms
 from recast.pipeline.arms import Arm
 from recast.pipeline.artefacts import Artefacts
 from recast.pipeline.renderers import Renderers
-from recast.planning import CameraMount
 from recast.simulation import SimState
 from recast.simulation.camera_noise import jittered
 from recast.simulation.oracle_renderer import OracleRenderer

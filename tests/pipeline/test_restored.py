@@ -11,13 +11,14 @@ import pytest
 
 from own_parts import Negative
 from recast.arrays import Image
+from recast.cameras import CameraMount
 from recast.cli.main import main
 from recast.core.errors import InputError, UnreachableError
 from recast.pipeline.config import RunConfig, resolve_config
 from recast.pipeline.report_parts import facts
 from recast.pipeline.rollouts import is_failure, make_rollout, read_rollout
 from recast.pipeline.sources import Sources
-from recast.planning import CameraMount, ConstantVelocity
+from recast.planning import ConstantVelocity
 from recast.protocols.neuroncap import planner as ncap_planner
 from recast.simulation import MOTIONS, RolloutFailure, RolloutSetup
 from recast.simulation.restoring import Restorer, RestoringRenderer

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from recast.cameras import CameraMount
 from recast.dynamics import PACIFICA, make_state
 from recast.planning import (
-    CameraMount,
     DrivingCommand,
     PlannerInput,
     PlanningContext,

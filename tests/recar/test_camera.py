@@ -5,7 +5,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from recast.geometry import boxes, se3
+from recast.cameras import box_rectangle
+from recast.geometry import se3
 from recast.recar import camera_pose, fitting_distance, pinhole, view_camera
 
 from .sets import identity_record, set_record
@@ -74,7 +75,7 @@ def test_the_box_fits_with_its_margin_and_no_more(
 
     def room(azimuth: float, at: float) -> float:
         """Least share of the image between the box and an edge."""
-        rectangle = boxes.project(size, se3.inverse(camera_pose(azimuth, elevation, at)), camera)
+        rectangle = box_rectangle(size, se3.inverse(camera_pose(azimuth, elevation, at)), camera)
         assert rectangle is not None
         shares = rectangle / np.tile([camera.width, camera.height], 2)
         return float(min(shares[0], shares[1], 1 - shares[2], 1 - shares[3]))

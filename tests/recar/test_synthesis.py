@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 import trimesh
 
+from recast.cameras import box_rectangle
 from recast.core.errors import InputError
-from recast.geometry import boxes, se3
+from recast.geometry import se3
 from recast.recar import SynthesisSettings, VehicleSet, read_set, synthesize_set
 
 from .sets import tree
@@ -107,7 +108,7 @@ def test_the_silhouette_is_where_the_camera_says(block: Path, tmp_path: Path) ->
     assert size == pytest.approx((4.4, 1.8, 1.5))
     for view in range(4):
         camera, actor_from_camera = identity.camera(view)
-        expected = boxes.project(size, se3.inverse(actor_from_camera), camera)
+        expected = box_rectangle(size, se3.inverse(actor_from_camera), camera)
         assert expected is not None
         rows, columns = np.nonzero(identity.view(view)[..., 3] > 127)
         found = np.array([columns.min(), rows.min(), columns.max() + 1, rows.max() + 1])

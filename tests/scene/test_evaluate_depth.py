@@ -8,7 +8,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from recast.geometry import PinholeCamera, se2, se3
+from recast.cameras import PinholeCamera
+from recast.geometry import se2, se3
 from recast.logs import DrivingLog, LidarStream, LidarSweep, Trajectory
 from recast.scene import SceneImage
 from recast.scene.evaluate_record import DepthScore, SweepsOfImages, depth_score, mean_depth

@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from recast.geometry import PinholeCamera, boxes, se3
+from recast.cameras import PinholeCamera
+from recast.geometry import boxes, se3
 from recast.logs import DrivingLog, Track, Trajectory
 from recast.scene.scores import (
     LPIPS_SIDE,

@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 import torch
 
-from recast.geometry import PinholeCamera
+from recast.cameras import PinholeCamera
 from recast.scene.appearance import Exposures, exposed, exposed_colours
 from recast.scene.views import View
 from recast.splats import rasterize

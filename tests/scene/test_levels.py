@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import torch
 
-from recast.geometry import PinholeCamera
+from recast.cameras import PinholeCamera
 from recast.scene import SceneConfig
 from recast.scene.levels import MAX_DEPTHS, make_level
 from recast.scene.points import DepthSamples

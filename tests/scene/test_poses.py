@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 import torch
 
-from recast.geometry import PinholeCamera, se3
+from recast.cameras import PinholeCamera
+from recast.geometry import se3
 from recast.logs import Track, Trajectory
 from recast.scene.dynamic import moves, pose_at
 from recast.scene.poses import CameraPoses, TrackPoses, corrected, twist_matrix

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from recast.geometry import PinholeCamera
+from recast.cameras import PinholeCamera
 from recast.logs import Track, Trajectory
 from recast.scene.levels import make_level
 from recast.scene.losses import TrackSmoothness, actor_opacity, actors_alone, sharp_shape

@@ -9,7 +9,8 @@ import torch
 from hypothesis import given
 from hypothesis import strategies as st
 
-from recast.geometry import PinholeCamera, se3
+from recast.cameras import PinholeCamera
+from recast.geometry import se3
 from recast.scene.sky import (
     OPAQUE,
     SkyMap,

@@ -13,9 +13,9 @@ import numpy as np
 import pytest
 import torch
 
+from recast.cameras import CameraMount
 from recast.geometry import se3
 from recast.logs import DrivingLog
-from recast.planning import CameraMount
 from recast.scene import TrainingStatus, TrainResult, train_scene
 from recast.scene.photometric import photometric_loss
 from recast.scene.render import SceneRasterizer

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 import torch
 
-from recast.geometry import PinholeCamera, se3
+from recast.cameras import PinholeCamera
+from recast.geometry import se3
 from recast.scene import SceneConfig
 from recast.scene.sky import SkyMap, sample_cubemap, texel_directions
 from recast.scene.trainable import CubeSky, PanoramaSky, make_sky

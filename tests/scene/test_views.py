@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from recast.cameras import PinholeCamera
 from recast.core.errors import InputError
-from recast.geometry import PinholeCamera
 from recast.logs import DrivingLog
 from recast.scene.config import SceneConfig
 from recast.scene.views import camera_names, read_view, read_views, scaled_camera

@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 
 from recast.arrays import Image
-from recast.geometry import PinholeCamera
-from recast.planning import CameraMount
+from recast.cameras import CameraMount, PinholeCamera
 from recast.simulation import NullRenderer, SimState
 from recast.simulation.camera_noise import ImageNoise, NoisyRenderer, grey_noise, jittered
 

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 import torch
 
+from recast.cameras import CameraMount
 from recast.geometry import se3
 from recast.logs import Trajectory
-from recast.planning import CameraMount
 from recast.scene.sky import SkyMap
 from recast.scene.street_scene import SceneActor, StreetScene
 from recast.simulation import SimState

@@ -14,9 +14,9 @@ import pytest
 from evaluation.box_world import CAMERA, MOUNTS, box_log, parked_at
 from evaluation.rollouts import make_rollout
 from recast.actors.coverage import NOTHING, Coverage
+from recast.cameras import CameraMount, PinholeCamera
 from recast.core.errors import InputError
-from recast.geometry import PinholeCamera, se3
-from recast.planning import CameraMount
+from recast.geometry import se3
 from recast.simulation import MOTIONS, RolloutSetup
 from recast.simulation.coverage import ImageCoverage, RolloutCoverage, rollout_coverage
 from recast.simulation.rollout_files import load_coverage, save_coverage

@@ -7,8 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from recast.geometry import PinholeCamera
-from recast.planning import CameraMount
+from recast.cameras import CameraMount, PinholeCamera
 from recast.planning.gtrs import NUPLAN_VIRTUAL, nuplan_rig
 from recast.simulation import NullRenderer
 from recast.simulation.scene_renderer import LensRenderer, pinhole_mounts, through_lenses

@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from recast.cameras import CameraMount
 from recast.core.errors import InputError
 from recast.geometry import se2
-from recast.planning import CameraMount
 from recast.simulation import SimState
 from recast.simulation.oracle_renderer import OracleRenderer
 from recast.synthetic.oracle import Oracle, OraclePool

@@ -8,8 +8,9 @@ import pytest
 import torch
 from synthetic_drives import drive
 
+from recast.cameras import PinholeCamera
 from recast.core.errors import InputError
-from recast.geometry import PinholeCamera, se3
+from recast.geometry import se3
 from recast.logs.types import CameraStream, DrivingLog
 from recast.planning import ConstantVelocity, Plan, PlannerInput
 from recast.planning.gtrs import nuplan_rig

@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 
 from recast.arrays import Image
+from recast.cameras import CameraMount
 from recast.core.errors import InputError
-from recast.planning import CameraMount
 from recast.simulation import MOTIONS, NullRenderer, RolloutSetup, SimState, Simulator
 from recast.simulation.renderer import Mounted
 from recast.simulation.restoring import RestoringRenderer, make_restorer

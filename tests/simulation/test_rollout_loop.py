@@ -10,17 +10,16 @@ import pytest
 from numpy.typing import NDArray
 from synthetic_drives import drive
 
+from recast.cameras import CameraMount, PinholeCamera, View
 from recast.core.errors import InputError
-from recast.geometry import PinholeCamera, boxes, se2
+from recast.geometry import boxes, se2
 from recast.planning import (
-    CameraMount,
     ConstantVelocity,
     IdmLaneFollower,
     LogReplay,
     Plan,
     PlannerInput,
     PlanningContext,
-    View,
 )
 from recast.simulation import (
     MOTIONS,

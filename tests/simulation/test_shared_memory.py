@@ -19,11 +19,11 @@ import pytest
 import torch
 from synthetic_drives import drive
 
+from recast.cameras import CameraMount, PinholeCamera
 from recast.core.errors import InputError
 from recast.dynamics import VehicleParameters
-from recast.geometry import PinholeCamera
 from recast.logs import map_of
-from recast.planning import CameraMount, ConstantVelocity, Plan, PlannerInput
+from recast.planning import ConstantVelocity, Plan, PlannerInput
 from recast.simulation import (
     MOTIONS,
     MotionInput,

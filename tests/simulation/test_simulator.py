@@ -11,12 +11,11 @@ from numpy.typing import NDArray
 from synthetic_drives import drive
 from test_renderer import log_with_camera, scene  # noqa: F401
 
+from recast.cameras import CameraMount, PinholeCamera
 from recast.core.errors import InputError
 from recast.dynamics import EgoState
-from recast.geometry import PinholeCamera
 from recast.logs.types import DrivingLog
 from recast.planning import (
-    CameraMount,
     ConstantVelocity,
     IdmLaneFollower,
     Plan,

@@ -10,7 +10,7 @@ import numpy as np
 import torch
 
 from recast.actors.drawing import look_at
-from recast.geometry import PinholeCamera
+from recast.cameras import PinholeCamera
 from recast.recar.views import pinhole
 from recast.splats import Gaussians, rasterize
 

@@ -11,7 +11,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from recast.geometry import PinholeCamera, se3
+from recast.cameras import PinholeCamera
+from recast.geometry import se3
 from recast.logs import CameraStream, DrivingLog, LidarStream, LidarSweep, Track, Trajectory
 
 Mutation = Callable[[DrivingLog], DrivingLog]

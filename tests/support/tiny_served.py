@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 import torch
 
-from recast.geometry import PinholeCamera, se3
+from recast.cameras import CameraMount, PinholeCamera
+from recast.geometry import se3
 from recast.logs.types import CameraStream, DrivingLog, Track, Trajectory
-from recast.planning import CameraMount
 from recast.protocols.alpasim.server import SensorsimServer, SensorsimService
 from recast.protocols.rendering import ScenePainter, ServedScene, Unnamed
 from recast.scene.sky import SkyMap

@@ -14,7 +14,8 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from recast.geometry import PinholeCamera, se3
+from recast.cameras import PinholeCamera
+from recast.geometry import se3
 from recast.logs import DrivingLog, LidarStream, Track, Trajectory
 from recast.splats import Gaussians, Rasterization, concatenate, rasterize
 from recast.splats.gaussians import matrix_to_quat, quat_multiply

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from recast.cameras import box_rectangle
 from recast.core.errors import InputError
 from recast.geometry import boxes, se2
 from recast.logs import DrivingLog, Trajectory, read_log
@@ -111,7 +112,7 @@ def test_masks_boxes_and_points_of_people_agree(world: World, log_folder: Path) 
                 if len(rows) < 6:
                     continue
                 track = log.tracks[key]
-                box = boxes.project(track.size, pose @ track.trajectory.at(time), stream.camera)
+                box = box_rectangle(track.size, pose @ track.trajectory.at(time), stream.camera)
                 assert box is not None
                 left, top, right, bottom = box
                 assert left - 1 <= columns.min() and columns.max() + 1 <= right + 1

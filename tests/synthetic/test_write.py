@@ -7,8 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from recast.cameras import PinholeCamera, box_rectangle
 from recast.core.errors import InputError
-from recast.geometry import PinholeCamera, boxes, se3
+from recast.geometry import boxes, se3
 from recast.logs import DrivingLog, Track, Trajectory, read_log
 from recast.synthetic.oracle import Oracle, instances
 from recast.synthetic.rendering import WAYMO_TOP
@@ -108,7 +109,7 @@ def test_boxes_and_masks_agree(small: World) -> None:
                 number = oracle.instance_of(key)
                 alone = mask_of(oracle, mounted.camera, world_from_camera, {key: pose}) == number
                 shown = together == number
-                rectangle = boxes.project(
+                rectangle = box_rectangle(
                     small.vehicles[key].model.size,
                     se3.inverse(world_from_camera) @ pose,
                     mounted.camera,

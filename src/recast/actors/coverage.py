@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from recast.arrays import Array
-from recast.geometry import PinholeCamera, boxes, se3
+from recast.cameras import PinholeCamera, box_rectangle
+from recast.geometry import se3
 from recast.scene import StreetScene
 from recast.scene.render import frozen_parts
 from recast.scene.street_scene import SceneActor
@@ -164,7 +165,7 @@ class CoverageMeter:
         poses = {**self._standing, **poses}
         camera_from_vehicle = np.asarray(camera_from_world) @ poses[self._track_id]
         box = camera_from_vehicle @ se3.from_rotation_translation(np.eye(3), self._centre)
-        outline = boxes.project(self._size, box, camera)
+        outline = box_rectangle(self._size, box, camera)
         if outline is None:
             return NOTHING
         limits = [camera.width, camera.height]

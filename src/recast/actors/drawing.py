@@ -14,7 +14,8 @@ from torch import Tensor
 from recast.actors.actor import Actor
 from recast.actors.observation import Observation
 from recast.arrays import Array
-from recast.geometry import PinholeCamera, se3
+from recast.cameras import PinholeCamera
+from recast.geometry import se3
 from recast.splats import CLASSIC, Gaussians, LowPass, Rasterization, concatenate, rasterize
 from recast.splats.gaussians import quat_to_matrix
 from recast.splats.sh import C0

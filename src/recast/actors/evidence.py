@@ -15,9 +15,9 @@ from pydantic import Field
 from recast.actors.actor import triple
 from recast.actors.carve import FreeSpace
 from recast.arrays import Array, Float32Array
+from recast.cameras import PinholeCamera
 from recast.core.errors import InputError
 from recast.core.records import Record, parse_record
-from recast.geometry import PinholeCamera
 from recast.logs.checks import WORLD_REACH, check_poses
 from recast.scene import StreetScene
 from recast.scene.dynamic import pose_at

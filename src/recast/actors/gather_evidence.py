@@ -21,8 +21,8 @@ from recast.actors.segment import (
 )
 from recast.actors.views import NearestSweeps, ViewScore, check_lidar, score_frame
 from recast.arrays import Array
+from recast.cameras import PinholeCamera, box_outline, box_rectangle
 from recast.core.progress import Progress
-from recast.geometry import PinholeCamera, boxes
 from recast.logs import DrivingLog, Track, track_points
 from recast.scene import SceneConfig
 from recast.scene.dynamic import pose_at
@@ -132,7 +132,7 @@ def _sight(
         return None
     camera_from_world = view.camera_from_world
     camera_from_object = camera_from_world @ world_from_object
-    window = _window(view.camera, boxes.project(track.size, camera_from_object, view.camera))
+    window = _window(view.camera, box_rectangle(track.size, camera_from_object, view.camera))
     if window is None:
         return None
     left, top, width, height = window
@@ -195,7 +195,7 @@ def _hidden(
             continue
         camera_from_other = camera_from_world @ pose
         if np.linalg.norm(camera_from_other[:3, 3]) < np.linalg.norm(camera_from_object[:3, 3]):
-            pixels = boxes.silhouette(other.size, camera_from_other, camera)
+            pixels = box_outline(other.size, camera_from_other, camera)
             hidden |= hull_mask(pixels, hidden.shape)
     return hidden
 

@@ -22,9 +22,9 @@ from recast.actors.segment import (
     mask_rectangle,
 )
 from recast.arrays import Array, Mask
+from recast.cameras import box_rectangle
 from recast.core.errors import InputError
 from recast.core.plugins import SEGMENTERS
-from recast.geometry import boxes
 from recast.pretrained import PretrainedFolder
 
 _PROMPTS = {
@@ -109,7 +109,7 @@ def logged_rectangle(target: SegmentationTarget) -> Array:
     Raises:
         ValueError: no part of the box lies in the crop.
     """
-    rectangle = boxes.project(target.size, target.camera_from_object, target.camera)
+    rectangle = box_rectangle(target.size, target.camera_from_object, target.camera)
     if rectangle is not None:
         height, width = target.image.shape[:2]
         rectangle = np.clip(rectangle, 0, [width, height, width, height])

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from recast.arrays import Array
-from recast.geometry import PinholeCamera
+from recast.cameras import PinholeCamera
 
 SIDES = {"front": (0, 1), "rear": (0, -1), "left": (1, 1), "right": (1, -1), "top": (2, 1)}
 """Axis and sign of the way out of a box through each of its sides."""

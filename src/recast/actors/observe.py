@@ -19,9 +19,10 @@ from recast.actors.segment import (
 )
 from recast.actors.views import NearestSweeps, Usable, ViewPool, crossing
 from recast.arrays import Array
+from recast.cameras import PinholeCamera, box_rectangle
+from recast.cameras.pinhole import distort
 from recast.core.errors import InputError
-from recast.geometry import PinholeCamera, boxes, se3
-from recast.geometry.camera import distort
+from recast.geometry import boxes, se3
 from recast.logs import CameraStream, DrivingLog, Track, track_points
 
 MIN_LIDAR_POINTS = 20
@@ -130,7 +131,7 @@ def _cut(
     time = view.timestamp_us
     camera_from_world = se3.inverse(log.world_from_rig.at(time) @ stream.rig_from_camera)
     camera_from_object = camera_from_world @ track.trajectory.at(time)
-    rectangle = boxes.project(track.size, camera_from_object, stream.camera)
+    rectangle = box_rectangle(track.size, camera_from_object, stream.camera)
     assert rectangle is not None  # scored frames show the box
     crop = _crop_window(stream.camera, rectangle)
     camera = stream.camera.rectified().cropped(*crop)

@@ -13,8 +13,9 @@ from numpy.typing import NDArray
 
 from recast.actors.observation import MaskQuality
 from recast.arrays import Array, Mask
+from recast.cameras import PinholeCamera
 from recast.core.foreign import ForeignCode, read_only, reported
-from recast.geometry import PinholeCamera, boxes, se3
+from recast.geometry import boxes, se3
 
 _REACH = 0.06  # shares of the vehicle's extent in the image: how far it may reach beyond the hull
 _GAP = 0.03

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from recast.actors.observation import ViewScore
 from recast.arrays import Array
+from recast.cameras import box_rectangle
 from recast.core.errors import InputError
 from recast.geometry import boxes, se3
 from recast.logs import CameraStream, DrivingLog, LidarSweep, Track
@@ -45,7 +46,7 @@ def score_frame(
     if camera_from_object[2, 3] < 0.5 * track.size[0]:  # beside or behind the camera
         return None
     camera = stream.camera.rectified()
-    rectangle = boxes.project(track.size, camera_from_object, camera)
+    rectangle = box_rectangle(track.size, camera_from_object, camera)
     if rectangle is None:
         return None
     grow = _BOX_MARGIN * (rectangle[2:] - rectangle[:2])
@@ -132,7 +133,7 @@ def check_lidar(
     sweep = sweeps.at(time)
     camera_from_world = se3.inverse(log.world_from_rig.at(time) @ stream.rig_from_camera)
     camera_from_object = camera_from_world @ track.trajectory.at(time)
-    rectangle = boxes.project(track.size, camera_from_object, stream.camera)
+    rectangle = box_rectangle(track.size, camera_from_object, stream.camera)
     if sweep is None or rectangle is None:
         return score
     world = se3.apply(log.world_from_rig.at(sweep.timestamp_us), sweep.points)

@@ -10,11 +10,12 @@ from gymnasium import spaces
 from numpy.typing import NDArray
 
 from recast.arrays import Array
+from recast.cameras import CameraMount
 from recast.core.errors import InputError
 from recast.dynamics import BicycleModel, VehicleParameters
 from recast.dynamics import state as ego
 from recast.geometry import se2
-from recast.planning import WAYPOINTS, ActorState, CameraMount, Plan, PlannerInput, ReferenceRoute
+from recast.planning import WAYPOINTS, ActorState, Plan, PlannerInput, ReferenceRoute
 from recast.planning.types import COMMANDS
 
 ActionKind = Literal["waypoints", "controls"]

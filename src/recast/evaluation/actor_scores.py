@@ -16,7 +16,7 @@ from recast.evaluation.oracle_scores import grown, mask_iou
 from recast.evaluation.perceptual import ImageDistance
 from recast.logs import DrivingLog
 from recast.scene import SceneConfig, SceneRasterizer, StreetScene, ssim
-from recast.scene.dynamic import box_rectangle, pose_at
+from recast.scene.dynamic import pose_at, visible_rectangle
 from recast.scene.evaluate import MIN_BOX_PX, draw_view
 from recast.scene.scores import Rectangle, capped_psnr, ssim_map
 from recast.scene.views import View, camera_names, is_held_out, read_view
@@ -209,7 +209,7 @@ def held_out_track(
             if pose is None or not is_held_out(frame, config):
                 continue
             view = read_view(log, stream, frame, config.scale, held_out=True)
-            outline = box_rectangle(own.size, pose, view)
+            outline = visible_rectangle(own.size, pose, view)
             if outline is None or min(outline[2:] - outline[:2]) < MIN_BOX_PX:
                 continue
             left, top = np.floor(outline[:2]).astype(int).tolist()

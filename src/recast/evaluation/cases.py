@@ -21,8 +21,9 @@ import cv2
 import numpy as np
 
 from recast.arrays import Array, Image
+from recast.cameras import PinholeCamera
 from recast.core.errors import InputError
-from recast.geometry import PinholeCamera, se3
+from recast.geometry import se3
 from recast.recar import RealView, holds_real_crops, read_real_crops
 from recast.recar.set_records import SET_FILE
 from recast.recar.shards.layout import INDEX_FILE

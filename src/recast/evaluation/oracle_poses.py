@@ -9,11 +9,12 @@ import numpy as np
 
 from recast.actors.views import score_frame
 from recast.arrays import Array
+from recast.cameras import CameraMount
 from recast.core.errors import InputError
 from recast.dynamics import PACIFICA
 from recast.geometry import boxes, se2, se3
 from recast.logs import DrivingLog, Track
-from recast.planning import CameraMount, ReferenceRoute
+from recast.planning import ReferenceRoute
 from recast.scene.dynamic import moves
 from recast.simulation.recorded_road import RoadSurface
 

@@ -14,9 +14,9 @@ from numpy.typing import ArrayLike
 from recast.actors.coverage import Coverage
 from recast.actors.drawing import draw
 from recast.arrays import Array, Image, Mask
+from recast.cameras import PinholeCamera, box_rectangle
 from recast.core.records import Record, read_record
 from recast.evaluation.pairs import Bootstrap, cluster_bootstrap
-from recast.geometry import PinholeCamera, boxes
 from recast.scene import SceneActor
 from recast.scene.scores import Rectangle, capped_psnr, ssim_map
 
@@ -44,7 +44,7 @@ def box_pixels(
     size: ArrayLike, camera_from_actor: Array, camera: PinholeCamera
 ) -> Rectangle | None:
     """The projected box's rectangle, clipped to the image; None where less than half is in it."""
-    outline = boxes.project(size, camera_from_actor, camera)
+    outline = box_rectangle(size, camera_from_actor, camera)
     if outline is None:
         return None
     limits = [camera.width, camera.height, camera.width, camera.height]

@@ -13,6 +13,7 @@ from PIL import Image as PilImage
 
 from recast.actors.coverage import CoverageMeter, Shares
 from recast.arrays import Array, Image
+from recast.cameras import CameraMount, PinholeCamera
 from recast.core.errors import InputError
 from recast.core.files import atomic_folder, write_json
 from recast.core.progress import Progress, tell
@@ -36,9 +37,8 @@ from recast.evaluation.oracle_scores import (
     grown,
     summarise,
 )
-from recast.geometry import PinholeCamera, se3
+from recast.geometry import se3
 from recast.logs import DrivingLog
-from recast.planning import CameraMount
 from recast.scene import SceneRasterizer, StreetScene
 from recast.scene.scores import Rectangle
 

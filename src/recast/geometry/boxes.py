@@ -7,7 +7,6 @@ from numpy.typing import ArrayLike
 
 from recast.arrays import Array, BoolArray
 from recast.geometry import se3
-from recast.geometry.camera import PinholeCamera
 
 _ROUNDING_M2 = 1e-12  # what boxes that merely touch may seem to have in common
 # Counter-clockwise from front left, bottom face first: the order of `corners` and `bev_corners`.
@@ -133,38 +132,3 @@ def bev_depth(
         aside = own[1] + other[0] * sin + other[1] * cos - np.abs(dy * c - dx * s)
         found = np.minimum(found, np.minimum(ahead, aside))
     return found
-
-
-def silhouette(
-    size: ArrayLike, camera_from_box: ArrayLike, camera: PinholeCamera, near: float = 0.1
-) -> Array:
-    """Pixels (N, 2) whose convex hull is the image of a box; none where it is all behind `near`.
-
-    Edges that cross the near plane are cut there, so a box beside the camera keeps a finite,
-    correct outline.
-    """
-    points = corners(size, camera_from_box)
-    visible = [p for p in points if p[2] >= near]
-    for i, j in EDGES:
-        a, b = points[i], points[j]
-        if (a[2] < near) != (b[2] < near):
-            t = (near - a[2]) / (b[2] - a[2])
-            visible.append(a + t * (b - a))
-    if not visible:
-        return np.zeros((0, 2))
-    pixels, _ = camera.rectified().project(np.array(visible))
-    return pixels
-
-
-def project(
-    size: ArrayLike, camera_from_box: ArrayLike, camera: PinholeCamera, near: float = 0.1
-) -> Array | None:
-    """Image rectangle (left, top, right, bottom) in pixels around a projected box, not clipped.
-
-    Returns:
-        (4,) or None where the whole box lies behind the near plane; see `silhouette`.
-    """
-    pixels = silhouette(size, camera_from_box, camera, near)
-    if len(pixels) == 0:
-        return None
-    return np.concatenate([pixels.min(axis=0), pixels.max(axis=0)])

@@ -10,7 +10,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from recast.geometry import boxes, se3
+from recast.cameras import box_rectangle
+from recast.geometry import se3
 from recast.logs.motion import all_track_points
 from recast.logs.plausibility import Plausibility, plausibility
 from recast.logs.types import VEHICLES, CameraStream, DrivingLog, Track
@@ -233,7 +234,7 @@ def crop_in_image(
 
     None unless a fair part of it lies inside.
     """
-    rectangle = boxes.project(track.size, camera_from_box, camera.camera, near=NEAR)
+    rectangle = box_rectangle(track.size, camera_from_box, camera.camera, near=NEAR)
     if rectangle is None:
         return None
     limits = np.array([camera.camera.width, camera.camera.height], np.float64)

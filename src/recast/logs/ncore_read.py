@@ -15,9 +15,10 @@ from ncore.data.v4 import (
 )
 from scipy.spatial.transform import Rotation
 
+from recast.cameras import PinholeCamera
 from recast.core import names
 from recast.core.images import decode_mask
-from recast.geometry import PinholeCamera, se3
+from recast.geometry import se3
 from recast.logs import checks, images, motion
 from recast.logs.ncore_folder import NcoreFolder, readable
 from recast.logs.ncore_write import COMPONENT, MASK, REFERENCE, stored_group

@@ -40,11 +40,12 @@ from PIL import Image as PillowImage
 from scipy.spatial.transform import Rotation
 from upath import UPath
 
+from recast.cameras import PinholeCamera
 from recast.core import files
 from recast.core.errors import InputError
 from recast.core.names import folder_name
 from recast.core.progress import Progress
-from recast.geometry import PinholeCamera, se3
+from recast.geometry import se3
 from recast.logs import motion
 from recast.logs.checks import refused
 from recast.logs.types import (

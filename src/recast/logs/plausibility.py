@@ -16,8 +16,9 @@ from pathlib import Path
 import numpy as np
 
 from recast.arrays import Array, Int64Array
+from recast.cameras import PinholeCamera
 from recast.core.errors import InputError
-from recast.geometry import PinholeCamera, se3
+from recast.geometry import se3
 from recast.logs import motion
 from recast.logs.checks import refused
 from recast.logs.types import (

@@ -9,11 +9,11 @@ from typing import Literal
 import numpy as np
 from pydantic import field_validator
 
+from recast.cameras import PinholeCamera
 from recast.core import files, records
 from recast.core.arguments import checked
 from recast.core.errors import InputError
 from recast.core.progress import Progress
-from recast.geometry import PinholeCamera
 from recast.logs import ncore_read
 from recast.logs.checks import refused
 from recast.logs.map_json import read_map, write_map

@@ -15,7 +15,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from recast.arrays import Array, Float32Array, Image, Int64Array, Mask
-from recast.geometry import PinholeCamera, se3
+from recast.cameras import PinholeCamera
+from recast.geometry import se3
 from recast.logs import checks
 from recast.logs.hdmap import HdMap
 

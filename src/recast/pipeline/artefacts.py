@@ -11,6 +11,7 @@ from typing import Any
 from rich.console import Console
 
 from recast.actors import Actor, insert, load_actor
+from recast.cameras import CameraMount
 from recast.core import Artefact, Store
 from recast.core.artefact import value_hash
 from recast.core.progress import ProgressBar
@@ -33,7 +34,7 @@ from recast.pipeline.planner_cameras import run_mounts
 from recast.pipeline.renderers import Renderers
 from recast.pipeline.rollouts import make_rollout, rollout_setup
 from recast.pipeline.sources import RECIPES, SourceLog, Sources
-from recast.planning import CameraMount, Planner, looked_at, make_planner
+from recast.planning import Planner, looked_at, make_planner
 from recast.scene import SceneConfig, StreetScene, load_scene
 from recast.scene.dynamic import modelled_tracks
 from recast.simulation import (

@@ -6,10 +6,11 @@ from collections.abc import Mapping
 
 from rich.console import Console
 
+from recast.cameras import CameraMount
 from recast.core.errors import InputError
 from recast.logs import DrivingLog
 from recast.pipeline.config import RunConfig
-from recast.planning import CameraMount, Planner, seen_lines, shown_views, virtual_mounts
+from recast.planning import Planner, seen_lines, shown_views, virtual_mounts
 from recast.simulation import camera_mounts
 
 

@@ -11,13 +11,14 @@ from rich.box import SIMPLE_HEAD
 from rich.table import Table
 
 from recast.arrays import Image
+from recast.cameras import CameraMount
 from recast.core.artefact import value_hash
 from recast.core.errors import InputError
 from recast.evaluation.collision import no_collision
 from recast.logs import DrivingLog, Track
 from recast.pipeline.sources import RECIPES, planner_source
-from recast.planning import CameraMount, Planner, make_planner
-from recast.planning.views import wanted_views
+from recast.planning import Planner, make_planner
+from recast.planning.cameras import wanted_views
 from recast.simulation import (
     Rollout,
     RolloutSetup,

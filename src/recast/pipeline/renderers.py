@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING
 
 from recast.actors import Actor
 from recast.actors.coverage import CoverageMeter
+from recast.cameras import CameraMount
 from recast.pipeline.arms import Arm
-from recast.planning import CameraMount
 from recast.scene import StreetScene
 from recast.simulation import SensorRenderer
 from recast.simulation.restoring import RestoringRenderer, make_restorer

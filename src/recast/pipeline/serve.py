@@ -12,6 +12,7 @@ import numpy as np
 from rich.console import Console
 
 from recast.arrays import Array
+from recast.cameras import CameraMount
 from recast.core.errors import InputError, require_range
 from recast.core.web_server import WebServer
 from recast.core.workers import use_threads
@@ -19,7 +20,6 @@ from recast.geometry import se3
 from recast.logs import DrivingLog, load_log
 from recast.pipeline.run_folder import RUN_FILE
 from recast.pipeline.view_run import run_inputs
-from recast.planning import CameraMount
 from recast.protocols.neuroncap import NcapService, ncap_app
 from recast.protocols.rendering import ScenePainter, ServedScene, Unnamed
 from recast.scene import StreetScene, load_scene

@@ -12,7 +12,6 @@ from recast.planning.cameras import (
     virtual_mounts,
 )
 from recast.planning.idm_follower import IdmFollowerConfig, IdmLaneFollower
-from recast.planning.lens import Lens
 from recast.planning.registry import (
     ALPASIM_PREFIX,
     DEVICE_PATTERN,
@@ -30,7 +29,6 @@ from recast.planning.simple import ConstantVelocity, LogReplay
 from recast.planning.types import (
     WAYPOINTS,
     ActorState,
-    CameraMount,
     Candidates,
     Plan,
     Planner,
@@ -38,7 +36,6 @@ from recast.planning.types import (
     PlanningContext,
     ego_status,
 )
-from recast.planning.views import View, nuplan_rig
 
 __all__ = [
     "ALPASIM_PREFIX",
@@ -48,13 +45,11 @@ __all__ = [
     "PLANNERS",
     "WAYPOINTS",
     "ActorState",
-    "CameraMount",
     "Candidates",
     "ConstantVelocity",
     "DrivingCommand",
     "IdmFollowerConfig",
     "IdmLaneFollower",
-    "Lens",
     "LogReplay",
     "Plan",
     "Planner",
@@ -62,13 +57,11 @@ __all__ = [
     "PlanningContext",
     "ReferenceRoute",
     "ShownView",
-    "View",
     "camera_choice",
     "ego_status",
     "looked_at",
     "make_planner",
     "named_cameras",
-    "nuplan_rig",
     "planner_cameras",
     "planner_device",
     "planner_folder",

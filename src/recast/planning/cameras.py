@@ -11,21 +11,20 @@ from collections.abc import Iterable, Mapping
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
-import cv2
 import numpy as np
 
-from recast.arrays import Mask
-from recast.core.errors import InputError
-from recast.planning.types import CameraMount, Planner
-from recast.planning.views import (
+from recast.cameras import CameraMount, View
+from recast.cameras.mounts import (
     WITHIN_DEGREES,
     Look,
     choose_views,
     directions,
     match_cameras,
     nuplan_rig,
-    wanted_views,
+    seen_by,
 )
+from recast.core.errors import InputError
+from recast.planning.types import Planner
 
 NEEDED = 0.5
 """Share of a picture ahead that the log's cameras must see; nobody can drive by less."""
@@ -33,10 +32,12 @@ NEEDED = 0.5
 ENOUGH = 0.9
 """Share of any picture below which the user is warned."""
 
-_SIDE = 640
-"""Pixels of the longer side at which `seen_by` looks, at most."""
-
 _AHEAD = Look.level(0.0, 60.0)
+
+
+def wanted_views(planner: Planner) -> tuple[View, ...]:
+    """The planner's attribute `wanted_views`; () where it has none."""
+    return tuple(getattr(planner, "wanted_views", ()))
 
 
 def named_cameras(planner: Planner) -> tuple[str, ...] | None:
@@ -143,27 +144,6 @@ def looked_at(planner: Planner, mounts: Mapping[str, CameraMount]) -> dict[str, 
         window = min(left), min(top), max(right), max(bottom)
         found[name] = replace(mounts[name], window=window)
     return found
-
-
-def seen_by(mount: CameraMount, cameras: Iterable[CameraMount]) -> Mask:
-    """Pixels (H, W) of a camera whose direction at least one other camera looks in.
-
-    Directions only: places are taken to be the same, as on one roof all are against what they see.
-    Large images are looked at in a smaller size: undoing a lens for two million pixels takes long.
-    """
-    full = mount.camera.width, mount.camera.height
-    shrink = max(1.0, max(full) / _SIDE)
-    small = mount.camera.resized(round(full[0] / shrink), round(full[1] / shrink))
-    rays = small.rays(small.pixel_grid()) @ mount.rig_from_camera[:3, :3].T
-    seen = np.zeros(rays.shape[:2], np.bool_)
-    for other in cameras:
-        pixels, depth = other.camera.project(rays @ other.rig_from_camera[:3, :3])
-        u, v = pixels[..., 0], pixels[..., 1]
-        inside = (u >= 0) & (u <= other.camera.width) & (v >= 0) & (v <= other.camera.height)
-        seen |= inside & (depth > 0)
-    if seen.shape[::-1] == full:
-        return seen
-    return cv2.resize(seen.astype(np.uint8), full, interpolation=cv2.INTER_NEAREST) > 0
 
 
 @dataclass(frozen=True)

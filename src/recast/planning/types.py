@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from recast.arrays import Array, Image
+from recast.cameras import CameraMount
 from recast.dynamics import PACIFICA, EgoState, VehicleParameters
 from recast.dynamics import state as ego
-from recast.geometry import PinholeCamera
 from recast.logs.hdmap import HdMap
 from recast.logs.types import Trajectory
 from recast.planning.route import DrivingCommand, ReferenceRoute
@@ -26,47 +26,6 @@ COMMANDS = (
     DrivingCommand.UNKNOWN,
 )
 """Order of the one-hot driving command."""
-
-
-@dataclass(frozen=True)
-class CameraMount:
-    """A camera as the planner sees it: intrinsics of the images it gets, and where it sits.
-
-    Attributes:
-        camera: camera at the size of the rendered images; rectified, unless virtual.
-        rig_from_camera: (4, 4) OpenCV camera frame to rig.
-        seen: mask (height, width) of a virtual camera's pixels that look where a camera of the log
-            does; the others are black. None for a camera of the log.
-        source: the log's camera at whose place a virtual camera is, if any.
-        window: left, top, right and bottom edge, pixels, of the part that is rendered; the rest is
-            black. None for the whole image.
-    """
-
-    camera: PinholeCamera
-    rig_from_camera: Array
-    seen: NDArray[np.bool_] | None = None
-    source: str | None = None
-    window: tuple[int, int, int, int] | None = None
-
-    def framed(self, rendered: Image) -> Image:
-        """The image (height, width, 3), black around the part that was rendered."""
-        if self.window is None:
-            return rendered
-        left, top, right, bottom = self.window
-        image = np.zeros((self.camera.height, self.camera.width, 3), np.uint8)
-        image[top:bottom, left:right] = rendered
-        return image
-
-    def windowed(self, image: Image) -> Image:
-        """The part of a whole image that is rendered."""
-        if self.window is None:
-            return image
-        left, top, right, bottom = self.window
-        return image[top:bottom, left:right]
-
-    def masked(self, image: Image) -> Image:
-        """A whole image, black around the part that is rendered."""
-        return self.framed(self.windowed(image))
 
 
 @dataclass(frozen=True)
@@ -195,7 +154,7 @@ class Planner(Protocol):
     It may also have `camera_names`, the only cameras to be rendered for it; or
     `choose_cameras(mounts)`, which returns their names once it is known which there are, or a
     mapping from its own names to them; see `recast.planning.camera_choice`. With `wanted_views`, a
-    tuple of `recast.planning.View`, it gets virtual cameras where no camera of the log will do; see
+    tuple of `recast.cameras.View`, it gets virtual cameras where no camera of the log will do; see
     `recast.planning.virtual_mounts`. For records, `device` says where it computes, and the mapping
     `record_fields` what else there is to say. `finish_rollout()` is called by `run_rollout` after
     each rollout, also after one that failed.

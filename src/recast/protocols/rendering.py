@@ -12,8 +12,8 @@ from typing import Literal
 import numpy as np
 
 from recast.arrays import Array, Image
-from recast.geometry import PinholeCamera, se3
-from recast.planning import CameraMount, Lens
+from recast.cameras import CameraMount, Lens, PinholeCamera
+from recast.geometry import se3
 from recast.protocols.requests import MOST_IN_ALL, AnyCamera, RefusedError, RenderRequest
 from recast.scene.render import SceneRasterizer
 from recast.scene.street_scene import StreetScene

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from recast.arrays import Array
-from recast.geometry import PinholeCamera, RadialLens, RationalLens
+from recast.cameras import PinholeCamera, RadialLens, RationalLens
 
 AnyCamera = PinholeCamera | RationalLens | RadialLens
 

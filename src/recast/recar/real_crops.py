@@ -21,12 +21,12 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, ValidationError
 
 from recast.arrays import Array, Image
+from recast.cameras import PinholeCamera
 from recast.core.errors import InputError
 from recast.core.files import read_json
 from recast.core.images import decode_image, decode_mask, rgb
 from recast.core.names import member
 from recast.core.records import validation_error
-from recast.geometry import PinholeCamera
 from recast.recar.ingest.photograph import MOST_PIXELS
 from recast.recar.set_records import Metres, Text
 from recast.recar.views import camera_pose, pinhole

@@ -12,11 +12,12 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 
 from recast.arrays import Array
+from recast.cameras import PinholeCamera
 from recast.core.errors import InputError
 from recast.core.files import alone_in
 from recast.core.progress import Progress, tell
 from recast.core.ray_cluster import worker_pool
-from recast.geometry import PinholeCamera, se3
+from recast.geometry import se3
 from recast.recar.set_records import (
     HELD_OUT_SHARE,
     LARGEST_SIDE,

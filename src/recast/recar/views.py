@@ -18,11 +18,12 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from recast.arrays import Array, Image
+from recast.cameras import PinholeCamera
 from recast.core.errors import InputError
 from recast.core.files import atomic_file, read_bytes
 from recast.core.images import opened, rgba
 from recast.core.progress import Progress, tell
-from recast.geometry import PinholeCamera, boxes, se3
+from recast.geometry import boxes, se3
 from recast.logs.images import encode
 from recast.recar.set_records import LARGEST_SIDE, IdentityRecord, SetRecord, Split
 

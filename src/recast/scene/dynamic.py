@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from recast.arrays import Array
+from recast.cameras import box_rectangle
 from recast.core.errors import InputError
-from recast.geometry import boxes
 from recast.logs import DrivingLog, Track, Trajectory, all_track_points
 from recast.scene.config import SceneConfig
 from recast.scene.views import View, read_places
@@ -63,10 +63,10 @@ def pose_at(trajectory: Trajectory, timestamp_us: int) -> Array | None:
     return trajectory.at(min(max(timestamp_us, first), last))
 
 
-def box_rectangle(size: Array, world_from_box: Array, view: View) -> Array | None:
+def visible_rectangle(size: Array, world_from_box: Array, view: View) -> Array | None:
     """Image rectangle (left, top, right, bottom) of a box, clipped to the image; None if unseen."""
     camera = view.camera
-    rectangle = boxes.project(size, view.camera_from_world @ world_from_box, camera)
+    rectangle = box_rectangle(size, view.camera_from_world @ world_from_box, camera)
     if rectangle is None:
         return None
     limits = [camera.width, camera.height, camera.width, camera.height]
@@ -161,4 +161,4 @@ def _seen_well(track: Track, views: Sequence[View]) -> bool:
 
 def _rectangle(track: Track, view: View) -> Array | None:
     pose = pose_at(track.trajectory, view.timestamp_us)
-    return None if pose is None else box_rectangle(track.size, pose, view)
+    return None if pose is None else visible_rectangle(track.size, pose, view)

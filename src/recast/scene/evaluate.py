@@ -16,7 +16,7 @@ from recast.core.progress import Progress, tell
 from recast.geometry import se3
 from recast.logs import DrivingLog
 from recast.scene.config import SceneConfig
-from recast.scene.dynamic import box_rectangle
+from recast.scene.dynamic import visible_rectangle
 from recast.scene.evaluate_record import FrameScore, SceneEvaluation, SweepsOfImages, depth_score
 from recast.scene.evaluate_shifts import (
     ShiftedScore,
@@ -218,7 +218,7 @@ def _box_psnr(scene: StreetScene, view: View, rendered: NDArray[np.float32]) -> 
     recorded = view.image.astype(np.float64) / 255
     found = {}
     for track_id, pose in scene.actor_poses(view.timestamp_us).items():
-        rectangle = box_rectangle(scene.actors[track_id].size, pose, view)
+        rectangle = visible_rectangle(scene.actors[track_id].size, pose, view)
         if rectangle is None:
             continue
         left, top = np.floor(rectangle[:2]).astype(int)

@@ -15,7 +15,7 @@ from recast.logs import Track
 from recast.scene.appearance import with_other_side
 from recast.scene.bodies import Body
 from recast.scene.config import SceneConfig
-from recast.scene.dynamic import DEFORMABLE, box_rectangle, deforms, pose_at
+from recast.scene.dynamic import DEFORMABLE, deforms, pose_at, visible_rectangle
 from recast.scene.plane_sweep import sweep_depths
 from recast.scene.points import (
     DepthSamples,
@@ -76,7 +76,7 @@ def _seen(view: View, actors: Mapping[str, Track]) -> Iterator[tuple[Track, Arra
     """Tracks in a view with their pose (4, 4) and the rectangle (4,) of their box in the image."""
     for track in actors.values():
         pose = pose_at(track.trajectory, view.timestamp_us)
-        rectangle = None if pose is None else box_rectangle(track.size, pose, view)
+        rectangle = None if pose is None else visible_rectangle(track.size, pose, view)
         if pose is not None and rectangle is not None:
             yield track, pose, rectangle
 

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from recast.arrays import Mask
-from recast.geometry import PinholeCamera
+from recast.cameras import PinholeCamera
 from recast.scene.config import SceneConfig
 from recast.scene.first_points import near_samples
 from recast.scene.initialise import Initialisation

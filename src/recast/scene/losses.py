@@ -14,7 +14,7 @@ import torch
 from torch import Tensor
 
 from recast.arrays import Array
-from recast.geometry import boxes
+from recast.cameras import box_rectangle
 from recast.scene.config import SceneConfig
 from recast.scene.levels import Level
 from recast.scene.photometric import photometric_loss
@@ -146,7 +146,7 @@ def actors_alone(
     inside = np.zeros((camera.height, camera.width), bool)
     for size, world_from_actor in placed:
         box = camera_from_world @ world_from_actor.detach().double().cpu().numpy()
-        rectangle = boxes.project(size, box, camera)
+        rectangle = box_rectangle(size, box, camera)
         if rectangle is not None:
             left, top = np.floor(np.maximum(rectangle[:2], 0)).astype(int)
             right, bottom = np.ceil(np.maximum(rectangle[2:], 0)).astype(int)

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from recast.arrays import Array, Float32Array, Mask
-from recast.geometry import PinholeCamera
+from recast.cameras import PinholeCamera
 from recast.scene.views import View
 
 NEIGHBOURS = (-2, -1, 1, 2)

@@ -9,7 +9,7 @@ import numpy as np
 import torch
 
 from recast.arrays import Array, Float32Array
-from recast.geometry import PinholeCamera
+from recast.cameras import PinholeCamera
 from recast.scene.light.relight import rounded
 from recast.scene.sky import composite, pixel_coordinates
 from recast.scene.street_scene import SceneActor, StreetScene

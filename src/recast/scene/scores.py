@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 from torch import Tensor
 
 from recast.arrays import Array
-from recast.geometry import boxes
+from recast.cameras import box_outline
 from recast.logs import DrivingLog, Track
 from recast.scene.dynamic import moves, pose_at
 from recast.scene.views import Mask, View
@@ -148,7 +148,7 @@ def moving_region(tracks: Mapping[str, Track], view: View) -> MovingRegion:
         if pose is None:
             continue
         size = track.size * BOX_GROWTH
-        outline = boxes.silhouette(size, view.camera_from_world @ pose, view.camera)
+        outline = box_outline(size, view.camera_from_world @ pose, view.camera)
         if len(outline) < 3:
             continue
         left, top = (int(v) for v in np.clip(np.floor(outline.min(axis=0)), 0, (width, height)))

@@ -19,10 +19,10 @@ import torch.nn.functional as functional
 from numpy.typing import ArrayLike, NDArray
 from torch import Tensor
 
+from recast.cameras import PinholeCamera
 from recast.core.errors import InputError
 from recast.core.files import write_bytes
 from recast.core.images import decode_image
-from recast.geometry import PinholeCamera
 
 HEIGHT, WIDTH = 128, 512
 NODE_PX = 8

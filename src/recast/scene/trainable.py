@@ -16,7 +16,7 @@ import torch
 from numpy.typing import ArrayLike
 from torch import Tensor
 
-from recast.geometry import PinholeCamera
+from recast.cameras import PinholeCamera
 from recast.scene.appearance import coloured, mirrored
 from recast.scene.config import SceneConfig
 from recast.scene.densify import GradientStatistics, Measure

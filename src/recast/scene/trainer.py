@@ -16,7 +16,7 @@ from recast.scene.bodies import Body
 from recast.scene.config import SceneConfig
 from recast.scene.deformation import DeformableNodes
 from recast.scene.density_control import SETTLE_EVERY, GroundSheet, control_density, reset_opacities
-from recast.scene.dynamic import DEFORMABLE, box_rectangle
+from recast.scene.dynamic import DEFORMABLE, visible_rectangle
 from recast.scene.initialise import Initialisation
 from recast.scene.levels import Level, make_levels
 from recast.scene.losses import (
@@ -175,7 +175,7 @@ class Trainer:
         for name, pose in poses.items():
             size = DEFORMING_ROOM * self._tracks[name].size
             if name in self.deformable:
-                seen = box_rectangle(size, pose.detach().double().numpy(), view)
+                seen = visible_rectangle(size, pose.detach().double().numpy(), view)
                 found += [] if seen is None else [name]
         return found
 

@@ -11,8 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from recast.arrays import Array, Image, Mask
+from recast.cameras import PinholeCamera
 from recast.core.errors import InputError
-from recast.geometry import PinholeCamera, se3
+from recast.geometry import se3
 from recast.logs import CameraStream, DrivingLog
 from recast.scene.config import SceneConfig
 

@@ -11,7 +11,7 @@ from typing import Literal
 import numpy as np
 
 from recast.arrays import Image
-from recast.planning import CameraMount
+from recast.cameras import CameraMount
 from recast.simulation.renderer import SensorRenderer
 from recast.simulation.state import SimState
 from recast.synthetic.rig import sensor_number

@@ -11,8 +11,8 @@ from typing import NamedTuple
 import numpy as np
 
 from recast.arrays import Array, Float32Array, Image
+from recast.cameras import CameraMount
 from recast.geometry import se3
-from recast.planning import CameraMount
 from recast.scene.render import SceneRasterizer
 from recast.scene.street_scene import StreetScene
 from recast.simulation.compositing import (

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from recast.actors.coverage import LEAST_PIXELS, Coverage
 from recast.arrays import Array
-from recast.geometry import PinholeCamera, se3
-from recast.planning import CameraMount
+from recast.cameras import CameraMount, PinholeCamera
+from recast.geometry import se3
 from recast.simulation.actors import other_poses
 from recast.simulation.rollout import Rollout
 from recast.simulation.setup import RolloutSetup

@@ -8,9 +8,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from recast.arrays import Array, Image
+from recast.cameras import CameraMount, PinholeCamera
 from recast.core.workers import Closing
-from recast.geometry import PinholeCamera
-from recast.planning import CameraMount
 from recast.simulation.renderer import Mounted
 from recast.simulation.state import SimState
 from recast.synthetic.oracle import Oracle, OraclePool

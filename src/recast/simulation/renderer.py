@@ -8,10 +8,9 @@ from typing import Protocol
 import numpy as np
 
 from recast.arrays import Array, Image
+from recast.cameras import CameraMount, PinholeCamera
 from recast.core.errors import InputError
-from recast.geometry import PinholeCamera
 from recast.logs.types import DrivingLog
-from recast.planning import CameraMount
 from recast.simulation.state import SimState
 
 

@@ -9,10 +9,10 @@ from typing import Protocol
 import numpy as np
 
 from recast.arrays import Image
+from recast.cameras import CameraMount
 from recast.core.errors import InputError
 from recast.core.foreign import ForeignCode, read_only
 from recast.core.plugins import RESTORERS
-from recast.planning import CameraMount
 from recast.simulation.renderer import SensorRenderer
 from recast.simulation.state import SimState
 

@@ -10,9 +10,9 @@ import numpy as np
 import torch
 
 from recast.arrays import Array, Image
+from recast.cameras import CameraMount, Lens, PinholeCamera
 from recast.core.errors import InputError
-from recast.geometry import PinholeCamera, se3
-from recast.planning import CameraMount, Lens
+from recast.geometry import se3
 from recast.scene.render import SceneRasterizer
 from recast.scene.street_scene import StreetScene
 from recast.simulation.renderer import Mounted, SensorRenderer

@@ -16,9 +16,9 @@ from typing import TypeVar
 import numpy as np
 
 from recast.arrays import Array
+from recast.cameras import PinholeCamera
 from recast.core.errors import InputError
 from recast.core.workers import WAITING, Closing, begin_worker, submit, usable_cores
-from recast.geometry import PinholeCamera
 from recast.synthetic.rendering import CameraFrame, RayScene, render_camera, require_embree
 from recast.synthetic.world import World
 

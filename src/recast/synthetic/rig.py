@@ -21,10 +21,11 @@ from PIL import Image as PillowImage
 from pydantic import BaseModel, ConfigDict
 
 from recast.arrays import Array, Float32Array
+from recast.cameras import PinholeCamera
 from recast.core import files, records
 from recast.core.errors import InputError
 from recast.core.images import decode_image
-from recast.geometry import PinholeCamera, se3
+from recast.geometry import se3
 
 RATE_HZ = 10
 """Of every camera and of the LiDAR, which fire together."""

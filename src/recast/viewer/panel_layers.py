@@ -14,7 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from recast.arrays import Array, Image
-from recast.geometry import PinholeCamera, se3
+from recast.cameras import PinholeCamera
+from recast.geometry import se3
 from recast.scene import SceneRasterizer, StreetScene
 from recast.viewer.inputs import Drive
 from recast.viewer.playback import Change, Playback

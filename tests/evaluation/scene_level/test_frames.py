@@ -7,6 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from recast.cameras import PinholeCamera
 from recast.core.errors import InputError
 from recast.evaluation.scene_level.frames import (
     FrameRule,
@@ -17,7 +18,7 @@ from recast.evaluation.scene_level.frames import (
     spread_over_azimuth,
     visible_share,
 )
-from recast.geometry import PinholeCamera, boxes
+from recast.geometry import boxes
 from recast.logs import DrivingLog
 from recast.simulation import camera_mounts
 

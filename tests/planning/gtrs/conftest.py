@@ -10,8 +10,8 @@ import pytest
 import torch
 from safetensors.torch import load_file
 
-from recast.geometry import PinholeCamera
-from recast.planning import CameraMount
+from recast.cameras import CameraMount, PinholeCamera
+from recast.cameras.mounts import camera_pose
 from recast.planning.gtrs import (
     BackboneConfig,
     GtrsConfig,
@@ -21,7 +21,6 @@ from recast.planning.gtrs import (
     ViewLayout,
     new_model,
 )
-from recast.planning.views import camera_pose
 
 GOLDEN = Path(__file__).resolve().parents[2] / "golden" / "planners"
 

@@ -7,9 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from recast.geometry import PinholeCamera
+from recast.cameras import PinholeCamera
+from recast.cameras.mounts import NUPLAN_CAMERA
 from recast.planning.gtrs import Lens
-from recast.planning.views import NUPLAN_CAMERA
 
 SMALL = NUPLAN_CAMERA.resized(240, 135)
 

@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 import torch
 
+from recast.cameras import CameraMount
 from recast.core.errors import InputError
 from recast.dynamics import make_state
 from recast.logs import Trajectory
 from recast.planning import (
-    CameraMount,
     DrivingCommand,
     Planner,
     PlannerInput,

@@ -9,6 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pydantic import ValidationError
 
+from recast.cameras.mounts import camera_pose
 from recast.core.errors import InputError
 from recast.dynamics import make_state
 from recast.geometry import se2, se3
@@ -21,7 +22,6 @@ from recast.planning.gtrs import (
     network_input,
     nuplan_rig,
 )
-from recast.planning.views import camera_pose
 
 from .conftest import GOLDEN, VIEWS
 

@@ -12,17 +12,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from recast.cameras import CameraMount, PinholeCamera
+from recast.cameras.mounts import camera_pose
 from recast.core.errors import InputError
 from recast.dynamics import state as ego
-from recast.geometry import PinholeCamera, se2
+from recast.geometry import se2
 from recast.logs import DrivingLog, Track, Trajectory
-from recast.planning import (
-    CameraMount,
-    Planner,
-    camera_choice,
-    make_planner,
-    planner_cameras,
-)
+from recast.planning import Planner, camera_choice, make_planner, planner_cameras
 from recast.planning.navsim import (
     NAVSIM_CAMERAS,
     NUPLAN_RIG,
@@ -33,7 +29,6 @@ from recast.planning.navsim import (
     resample,
 )
 from recast.planning.navsim import Trajectory as NavsimTrajectory
-from recast.planning.views import camera_pose
 from recast.simulation import MOTIONS, NullRenderer, Rollout, RolloutSetup, run_rollout
 
 CAMERA = PinholeCamera(12, 8, 10.0, 10.0, 6.0, 4.0)

@@ -16,9 +16,10 @@ import numpy as np
 import pytest
 
 from recast.arrays import Image
+from recast.cameras import CameraMount, Lens
 from recast.core.errors import InputError
 from recast.geometry import se3
-from recast.planning import CameraMount, ConstantVelocity, Lens, Plan, PlannerInput
+from recast.planning import ConstantVelocity, Plan, PlannerInput
 from recast.protocols.alpasim.client import SensorsimClient, SensorsimRenderer
 from recast.protocols.alpasim.messages import CHANNEL_OPTIONS, SENSORSIM_SERVICES, message, parse
 from recast.protocols.alpasim.poses import as_sent

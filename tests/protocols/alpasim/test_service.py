@@ -12,9 +12,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from recast.geometry import PinholeCamera, se3
-from recast.geometry.lens import fisheye_lens
-from recast.planning import Lens
+from recast.cameras import Lens, PinholeCamera
+from recast.cameras.lenses import fisheye_lens
+from recast.geometry import se3
 from recast.protocols.alpasim.cameras import camera_message, read_camera
 from recast.protocols.alpasim.messages import message, parse
 from recast.protocols.alpasim.poses import as_sent, pose_message, pose_pair, read_middle

@@ -14,12 +14,12 @@ import numpy as np
 import pytest
 from starlette.responses import JSONResponse, Response
 
+from recast.cameras import CameraMount, PinholeCamera
 from recast.core.errors import InputError
 from recast.dynamics import make_state
-from recast.geometry import PinholeCamera, Polyline, se3
+from recast.geometry import Polyline, se3
 from recast.logs.types import Trajectory
 from recast.planning import (
-    CameraMount,
     ConstantVelocity,
     Plan,
     PlannerInput,

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 import torch
 
-from recast.geometry import PinholeCamera, se3
+from recast.cameras import PinholeCamera
+from recast.geometry import se3
 from recast.geometry.colour import GAMMA
 from recast.scene import SceneActor, SceneRasterizer
 from recast.scene.light import ActorLight, CastShadow, LitSurface, SceneLight, recorded_light

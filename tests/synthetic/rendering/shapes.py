@@ -6,7 +6,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from recast.arrays import Array
-from recast.geometry import PinholeCamera, se3
+from recast.cameras import PinholeCamera
+from recast.geometry import se3
 from recast.synthetic.rendering import SKY, Hits, RayScene
 from recast.synthetic.rendering.ray_scene import Poses
 from recast.synthetic.surface import Surface, concatenate

@@ -18,10 +18,11 @@ from pydantic import Field, NonNegativeInt
 
 from recast.actors.views import score_frame
 from recast.arrays import Array
+from recast.cameras import PinholeCamera
 from recast.core.errors import InputError
 from recast.core.records import Record, read_record
 from recast.evaluation.oracle_scores import box_pixels
-from recast.geometry import PinholeCamera, boxes, se3
+from recast.geometry import boxes, se3
 from recast.logs import DrivingLog
 from recast.scene.scores import Rectangle
 

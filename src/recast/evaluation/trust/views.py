@@ -8,8 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from recast.arrays import Array, Int64Array
+from recast.cameras import box_rectangle
 from recast.evaluation.oracle_poses import angle_to_nearest, logged_views, view_direction
-from recast.geometry import boxes, se3
+from recast.geometry import se3
 from recast.logs import DrivingLog
 from recast.simulation.rollout import Rollout
 
@@ -129,7 +130,7 @@ class RecordedViews:
         world_from_camera = rollout.world_from_rig[step] @ stream.rig_from_camera
         world_from_actor = rollout.world_from_actor[step]
         intrinsics = stream.camera.rectified()
-        rectangle = boxes.project(
+        rectangle = box_rectangle(
             rollout.actor_size, se3.inverse(world_from_camera) @ world_from_actor, intrinsics
         )
         area = 0.0

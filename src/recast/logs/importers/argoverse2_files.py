@@ -16,8 +16,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from recast.cameras import PinholeCamera
 from recast.core.errors import InputError
-from recast.geometry import PinholeCamera, se3
+from recast.geometry import se3
 from recast.logs import checks
 from recast.logs.importers.common import (
     are_returns,

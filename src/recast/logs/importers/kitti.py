@@ -13,8 +13,9 @@ from pathlib import Path
 
 import numpy as np
 
+from recast.cameras import PinholeCamera
 from recast.core.errors import InputError
-from recast.geometry import PinholeCamera, se3
+from recast.geometry import se3
 from recast.logs import motion
 from recast.logs.derive_map import derive_map, ego_path
 from recast.logs.images import ImageFiles

@@ -11,9 +11,10 @@ from pathlib import Path
 
 import numpy as np
 
+from recast.cameras import PinholeCamera
 from recast.core import files
 from recast.core.errors import InputError
-from recast.geometry import PinholeCamera, se3
+from recast.geometry import se3
 from recast.logs.checks import SENSOR_REACH, check_reach, refused
 from recast.logs.importers.common import files_of, nearest_rotation, unknown_drive, words_of
 from recast.logs.types import Array, Int64Array

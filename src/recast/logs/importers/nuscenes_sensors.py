@@ -8,9 +8,10 @@ from pathlib import Path
 
 import numpy as np
 
+from recast.cameras import PinholeCamera
 from recast.core.errors import InputError
 from recast.core.names import member
-from recast.geometry import PinholeCamera, se3
+from recast.geometry import se3
 from recast.logs import motion
 from recast.logs.importers.common import Timed, first_jump, read_points, unit_intensity
 from recast.logs.importers.nuscenes_tables import (

@@ -14,9 +14,10 @@ from pathlib import Path
 
 import numpy as np
 
+from recast.cameras import PinholeCamera
 from recast.core.errors import InputError
 from recast.core.files import read_text
-from recast.geometry import PinholeCamera, se3
+from recast.geometry import se3
 from recast.logs import checks
 from recast.logs.images import ImageFiles, image_size
 from recast.logs.importers.common import check_drive, nearest_rotation, unknown_drive, words_of

@@ -10,9 +10,10 @@ from typing import Any
 
 import numpy as np
 
+from recast.cameras import PinholeCamera
 from recast.core.errors import InputError
 from recast.core.images import eight_bits
-from recast.geometry import PinholeCamera, se3
+from recast.geometry import se3
 from recast.logs import checks
 from recast.logs.importers.common import Timed, are_returns, unit_intensity
 from recast.logs.types import (

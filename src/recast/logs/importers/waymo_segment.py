@@ -11,8 +11,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol
 
+from recast.cameras import PinholeCamera
 from recast.core.errors import InputError
-from recast.geometry import PinholeCamera
 from recast.logs.importers.waymo_proto import FieldError, Message
 from recast.logs.types import Array, Float32Array
 

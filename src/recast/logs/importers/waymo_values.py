@@ -11,7 +11,8 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from numpy.typing import ArrayLike
 
-from recast.geometry import PinholeCamera, se3
+from recast.cameras import PinholeCamera
+from recast.geometry import se3
 from recast.logs import checks
 from recast.logs.importers.waymo_proto import FieldError
 from recast.logs.importers.waymo_segment import (

@@ -11,6 +11,7 @@ from rich.console import Console
 from rich.markup import escape
 
 from recast.actors import make_generator, segmenter_of
+from recast.cameras import CameraMount
 from recast.core import files
 from recast.core.errors import InputError, printable
 from recast.core.progress import ProgressBar
@@ -37,7 +38,7 @@ from recast.pipeline.planner_cameras import (
     require_distinct_planners,
     run_mounts,
 )
-from recast.planning import CameraMount, Planner, make_planner
+from recast.planning import Planner, make_planner
 from recast.simulation import camera_mount
 from recast.simulation.restoring import make_restorer
 from recast.synthetic import check_drive, world_of

@@ -16,9 +16,10 @@ from rich.console import Console
 
 from recast.actors import AUTO, DEFAULT_GENERATOR, DEFAULT_SEGMENTER, insert, load_actor
 from recast.arrays import Array, Image
+from recast.cameras import PinholeCamera
 from recast.core import Artefact, Store
 from recast.core.errors import InputError
-from recast.geometry import PinholeCamera, se3
+from recast.geometry import se3
 from recast.pipeline.actor import ActorMakers
 from recast.pipeline.arms import OWN_STREET
 from recast.pipeline.gtrs_data.stage import Stage, stage_of

@@ -1,5 +1,7 @@
 """GTRS-Dense: scores a vocabulary of trajectories against camera images."""
 
+from recast.cameras.lens_images import Lens
+from recast.cameras.mounts import nuplan_rig
 from recast.planning.gtrs.config import (
     NUPLAN_VIRTUAL,
     WAYMO_NATIVE,
@@ -32,9 +34,7 @@ from recast.planning.gtrs.scores import (
     vocabulary_dropout,
     write_vocabulary,
 )
-from recast.planning.lens import Lens
 from recast.planning.types import ego_status
-from recast.planning.views import nuplan_rig
 
 __all__ = [
     "COMBINED",

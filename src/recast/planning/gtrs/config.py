@@ -12,11 +12,11 @@ from pydantic import Field, model_validator
 from torch import Tensor
 
 from recast.arrays import Image
+from recast.cameras import PinholeCamera
+from recast.cameras.mounts import NUPLAN_CAMERAS, View
 from recast.core.errors import InputError
 from recast.core.records import Record
-from recast.geometry import PinholeCamera
 from recast.planning.cameras import require_cameras
-from recast.planning.views import NUPLAN_CAMERAS, View
 
 Count = Annotated[int, Field(gt=0, le=65536, strict=True)]
 """A positive whole number; the upper bound keeps a typing error from asking for all memory."""

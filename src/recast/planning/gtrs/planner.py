@@ -11,6 +11,8 @@ from numpy.typing import ArrayLike, NDArray
 from torch import Tensor
 
 from recast.arrays import Float32Array
+from recast.cameras import CameraMount
+from recast.cameras.mounts import View, choose_views, directions
 from recast.core.errors import InputError
 from recast.dynamics.comfort import comfortable_plans
 from recast.planning.cameras import require_cameras
@@ -25,15 +27,7 @@ from recast.planning.gtrs.scores import (
     check_vocabulary,
     final_score,
 )
-from recast.planning.types import (
-    CameraMount,
-    Candidates,
-    Plan,
-    PlannerInput,
-    PlanningContext,
-    ego_status,
-)
-from recast.planning.views import View, choose_views, directions
+from recast.planning.types import Candidates, Plan, PlannerInput, PlanningContext, ego_status
 
 _DT = 0.1
 

@@ -12,12 +12,13 @@ from typing import Any
 import numpy as np
 
 from recast.arrays import Array, Image
+from recast.cameras import CameraMount
 from recast.core.errors import InputError
 from recast.dynamics import state as ego
 from recast.geometry import se2
 from recast.planning.navsim import types
 from recast.planning.navsim.types import HISTORY_FRAMES, HISTORY_INTERVAL, NAVSIM_CAMERAS
-from recast.planning.types import CameraMount, PlannerInput, PlanningContext, ego_status
+from recast.planning.types import PlannerInput, PlanningContext, ego_status
 
 _MODULE = "navsim.common.dataclasses"
 

@@ -10,12 +10,13 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from recast.arrays import Array
+from recast.cameras import CameraMount
 from recast.core.errors import InputError
 from recast.planning.cameras import require_cameras
 from recast.planning.navsim.agent_input import InputBuilder, navsim_classes
 from recast.planning.navsim.types import HISTORY_FRAMES, NAVSIM_CAMERAS, rig_cameras
 from recast.planning.splines import spline_through
-from recast.planning.types import WAYPOINTS, CameraMount, Plan, PlannerInput, PlanningContext
+from recast.planning.types import WAYPOINTS, Plan, PlannerInput, PlanningContext
 
 _SAME_TIME = 1e-6
 

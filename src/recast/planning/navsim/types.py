@@ -13,9 +13,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from recast.cameras import CameraMount
+from recast.cameras.mounts import WITHIN_DEGREES, Look, directions, match_cameras
 from recast.core.errors import InputError
-from recast.planning.types import CameraMount
-from recast.planning.views import WITHIN_DEGREES, Look, directions, match_cameras
 
 NAVSIM_CAMERAS: Mapping[str, float] = {
     "cam_f0": 0.0,

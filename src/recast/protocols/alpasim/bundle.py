@@ -20,9 +20,10 @@ import numpy as np
 import yaml
 
 from recast import __version__
+from recast.cameras import PinholeCamera
 from recast.core.errors import InputError
 from recast.dynamics.state import VehicleParameters
-from recast.geometry import PinholeCamera, se3
+from recast.geometry import se3
 from recast.logs.checks import check_name, refused
 from recast.logs.hdmap import HdMap
 from recast.logs.map_json import map_text

@@ -13,11 +13,12 @@ import numpy as np
 from pydantic import ValidationError
 
 from recast.arrays import Array
+from recast.cameras import PinholeCamera
 from recast.core.errors import InputError
 from recast.core.files import parse_json
 from recast.core.records import validated, validation_error
 from recast.core.yaml_lines import read_yaml
-from recast.geometry import PinholeCamera, se3
+from recast.geometry import se3
 from recast.logs import checks
 from recast.logs.checks import refused
 from recast.logs.importers.common import (

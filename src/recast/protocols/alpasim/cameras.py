@@ -5,9 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from recast.geometry import PinholeCamera, RadialLens, RationalLens
-from recast.geometry.lens import fisheye_lens, ftheta_lens
-from recast.planning import CameraMount
+from recast.cameras import CameraMount, PinholeCamera, RadialLens, RationalLens
+from recast.cameras.lenses import fisheye_lens, ftheta_lens
 from recast.protocols.alpasim.messages import message
 from recast.protocols.alpasim.poses import pose_message
 from recast.protocols.requests import AnyCamera

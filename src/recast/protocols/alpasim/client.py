@@ -8,11 +8,11 @@ from typing import Any, Literal
 import numpy as np
 
 from recast.arrays import Array, Image
+from recast.cameras import CameraMount, PinholeCamera
 from recast.core.errors import InputError
 from recast.core.workers import Closing
-from recast.geometry import PinholeCamera, se3
+from recast.geometry import se3
 from recast.logs.images import decode
-from recast.planning import CameraMount
 from recast.protocols.alpasim.calls import ServiceClient
 from recast.protocols.alpasim.cameras import camera_message
 from recast.protocols.alpasim.messages import (

@@ -9,12 +9,12 @@ from typing import Literal
 
 import numpy as np
 
+from recast.cameras import CameraMount
 from recast.core.errors import InputError
 from recast.core.workers import Closing
 from recast.planning import (
     ALPASIM_PREFIX,
     WAYPOINTS,
-    CameraMount,
     LogReplay,
     Plan,
     PlannerInput,

@@ -14,12 +14,13 @@ from uuid import uuid4
 import numpy as np
 
 from recast.arrays import Array
+from recast.cameras import CameraMount
 from recast.core.errors import InputError
 from recast.core.workers import Closing
 from recast.dynamics import initial_state
 from recast.dynamics import state as ego
 from recast.geometry import se2
-from recast.planning import CameraMount, PlannerInput, PlanningContext
+from recast.planning import PlannerInput, PlanningContext
 from recast.protocols.alpasim.messages import (
     DEADLINE,
     EGODRIVER_METHODS,

@@ -12,9 +12,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from recast.arrays import Array, Image
+from recast.cameras import CameraMount
 from recast.dynamics import EgoState
 from recast.geometry import se2
-from recast.planning import CameraMount, ReferenceRoute
+from recast.planning import ReferenceRoute
 from recast.protocols.alpasim.cameras import cameras_message
 from recast.protocols.alpasim.messages import message
 from recast.protocols.alpasim.poses import pose_message

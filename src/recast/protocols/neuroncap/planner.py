@@ -17,13 +17,14 @@ from numpy.typing import ArrayLike
 from scipy.interpolate import PchipInterpolator
 
 from recast.arrays import Array
+from recast.cameras import CameraMount
 from recast.core.errors import InputError
 from recast.core.json_service import JsonService
 from recast.dynamics import state as ego
 from recast.geometry import se2, se3
 from recast.planning.registry import NEURONCAP_PREFIX
 from recast.planning.route import ReferenceRoute
-from recast.planning.types import WAYPOINTS, CameraMount, Plan, PlannerInput, PlanningContext
+from recast.planning.types import WAYPOINTS, Plan, PlannerInput, PlanningContext
 from recast.protocols.neuroncap.wire import ncap_cameras, raw_image
 
 ALIVE_S, RESET_S, INFER_S = 10.0, 60.0, 300.0

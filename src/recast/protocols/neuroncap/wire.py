@@ -9,9 +9,9 @@ from collections.abc import Mapping
 import torch
 
 from recast.arrays import Image
+from recast.cameras import CameraMount
+from recast.cameras.mounts import Look, match_cameras
 from recast.logs import images
-from recast.planning.types import CameraMount
-from recast.planning.views import Look, match_cameras
 
 CAMERAS: Mapping[str, Look] = {
     "CAM_FRONT": Look.level(0.0, 65.0),

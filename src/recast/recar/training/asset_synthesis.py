@@ -13,12 +13,13 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from recast.arrays import Array
+from recast.cameras import PinholeCamera
 from recast.core.errors import InputError
 from recast.core.files import alone_in, write_json
 from recast.core.progress import Progress, tell
 from recast.core.ray_cluster import worker_pool
 from recast.core.records import Record, read_record
-from recast.geometry import PinholeCamera, se3
+from recast.geometry import se3
 from recast.recar.synthesis import studio_sky
 from recast.recar.training.assets import TrainingAsset, write_asset
 from recast.recar.views import camera_pose, fitting_distance, pinhole

@@ -16,11 +16,12 @@ import torch
 from scipy.spatial.transform import Rotation
 
 from recast.arrays import Array
+from recast.cameras import PinholeCamera
 from recast.core.errors import InputError
 from recast.core.files import read_json
 from recast.core.pickled import read_pickle
 from recast.core.torch_file import read_torch_file
-from recast.geometry import PinholeCamera, se3
+from recast.geometry import se3
 from recast.logs.checks import WORLD_REACH, refused
 from recast.scene.importers.checkpoint import Names, Table, read_gaussians, read_harmonics
 from recast.splats import Gaussians

@@ -14,9 +14,10 @@ from typing import Any
 import numpy as np
 
 from recast.arrays import Array
+from recast.cameras import PinholeCamera
 from recast.core.errors import InputError
 from recast.core.files import require_new
-from recast.geometry import PinholeCamera, se3
+from recast.geometry import se3
 from recast.logs import CameraStream, DrivingLog, Track, Trajectory
 from recast.logs.checks import refused
 from recast.scene.importers.actors import extent

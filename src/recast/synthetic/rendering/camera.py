@@ -11,7 +11,8 @@ from numpy.random import Generator
 from numpy.typing import ArrayLike, NDArray
 
 from recast.arrays import Array, Int64Array
-from recast.geometry import PinholeCamera, se3
+from recast.cameras import PinholeCamera
+from recast.geometry import se3
 from recast.synthetic.rendering import compiled
 from recast.synthetic.rendering.lighting import Light, LightFilter, add_light_samples, sample_light
 from recast.synthetic.rendering.path_tracing import path_light

@@ -11,13 +11,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from recast.arrays import Array
+from recast.cameras import CameraMount
 from recast.core.artefact import file_hash, folder_hash
 from recast.core.errors import InputError, require_range
 from recast.evaluation.scene_level.frames import FrameRule, RolloutFrame, visible_share
 from recast.geometry import se3
 from recast.pipeline.bench.grid import BenchSettings
 from recast.pipeline.sources import vqa_source
-from recast.planning import CameraMount
 from recast.scene import SceneRasterizer, StreetScene
 from recast.scene.scores import Rectangle
 from recast.simulation import Rollout

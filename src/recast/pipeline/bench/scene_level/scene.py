@@ -14,6 +14,7 @@ import numpy as np
 from PIL import Image as PilImage
 
 from recast.arrays import Array, Image
+from recast.cameras import PinholeCamera, box_outline
 from recast.core import Artefact, files
 from recast.dynamics import EgoState
 from recast.dynamics.state import SIZE as EGO_SIZE
@@ -30,7 +31,7 @@ from recast.evaluation.scene_level.frames import (
     spread_over_azimuth,
 )
 from recast.evaluation.scene_level.scores import FEATURES_FILE, Networks, SeenImage, save_features
-from recast.geometry import PinholeCamera, boxes, se3
+from recast.geometry import se3
 from recast.pipeline.arms import Arm
 from recast.pipeline.bench.scene_level.request import (
     DRIVER,
@@ -213,7 +214,7 @@ class LevelScene:
         if self._settings.crop == "boxed":
             return SeenImage(image, rectangle)
         outline = np.zeros(image.shape[:2], np.uint8)
-        pixels = boxes.silhouette(self._track.size, seen_from, camera)
+        pixels = box_outline(self._track.size, seen_from, camera)
         cv2.fillConvexPoly(outline, cv2.convexHull(np.rint(pixels).astype(np.int32)), 1)
         return SeenImage(image, rectangle, outline > 0)
 

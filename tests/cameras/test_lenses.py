@@ -13,8 +13,8 @@ from hypothesis import strategies as st
 from ncore.impl.data import types as ncore
 from ncore.impl.sensors.camera import FThetaCameraModel, OpenCVFisheyeCameraModel
 
-from recast.geometry import RadialLens, RationalLens
-from recast.geometry.lens import fisheye_lens, ftheta_lens
+from recast.cameras import RadialLens, RationalLens
+from recast.cameras.lenses import fisheye_lens, ftheta_lens
 
 RATIONAL = RationalLens(
     1920, 1080, 1000.0, 1010.0, 955.0, 547.0,

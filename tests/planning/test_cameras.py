@@ -10,13 +10,19 @@ from typing import Any
 import numpy as np
 import pytest
 
+from recast.cameras import CameraMount, PinholeCamera, View
+from recast.cameras.mounts import (
+    Look,
+    camera_pose,
+    choose_views,
+    directions,
+    match_cameras,
+    seen_by,
+)
 from recast.core.errors import InputError
-from recast.geometry import PinholeCamera
 from recast.logs.importers.waymo import load_waymo
 from recast.planning import (
-    CameraMount,
     ConstantVelocity,
-    View,
     looked_at,
     make_planner,
     seen_lines,
@@ -24,9 +30,7 @@ from recast.planning import (
     shown_views,
     virtual_mounts,
 )
-from recast.planning.cameras import seen_by
 from recast.planning.gtrs import nuplan_rig
-from recast.planning.views import Look, camera_pose, choose_views, directions, match_cameras
 from recast.simulation import NullRenderer, camera_mounts
 from recast.simulation.scene_renderer import through_lenses
 from recast.synthetic.rig import make_rig

@@ -1,4 +1,4 @@
-"""What a planner wants to see, and which camera of whatever rig stands for it; nuPlan's rig.
+"""Cameras on the rig, views that are wanted, and which cameras show them; nuPlan's rig.
 
 Cameras are matched by direction and field of view."""
 
@@ -7,12 +7,13 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
+import cv2
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
-from recast.arrays import Array
-from recast.geometry import PinholeCamera, se3
-from recast.planning.types import CameraMount, Planner
+from recast.arrays import Array, Image, Mask
+from recast.cameras.pinhole import PinholeCamera
+from recast.geometry import se3
 
 WITHIN_DEGREES = 30.0
 """A camera that looks further off than this does not stand for a wanted one."""
@@ -33,6 +34,9 @@ NUPLAN_CAMERA = PinholeCamera(
 )
 """Intrinsics shared by all three; the images are as distorted as this says."""
 
+_SIDE = 640
+"""Pixels of the longer side at which `seen_by` looks, at most."""
+
 _NUPLAN_MOUNTS = (
     ((1.646, 0.143, 1.521), 55.2, -0.5),
     ((1.670, -0.026, 1.523), 0.2, -1.5),
@@ -41,6 +45,47 @@ _NUPLAN_MOUNTS = (
 
 _SAMPLES = np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0], [1.0, 1.0], [0.5, 0.5]])
 """Corners and centre, as shares of width and height."""
+
+
+@dataclass(frozen=True)
+class CameraMount:
+    """A camera as the planner sees it: intrinsics of the images it gets, and where it sits.
+
+    Attributes:
+        camera: camera at the size of the rendered images; rectified, unless virtual.
+        rig_from_camera: (4, 4) OpenCV camera frame to rig.
+        seen: mask (height, width) of a virtual camera's pixels that look where a camera of the log
+            does; the others are black. None for a camera of the log.
+        source: the log's camera at whose place a virtual camera is, if any.
+        window: left, top, right and bottom edge, pixels, of the part that is rendered; the rest is
+            black. None for the whole image.
+    """
+
+    camera: PinholeCamera
+    rig_from_camera: Array
+    seen: NDArray[np.bool_] | None = None
+    source: str | None = None
+    window: tuple[int, int, int, int] | None = None
+
+    def framed(self, rendered: Image) -> Image:
+        """The image (height, width, 3), black around the part that was rendered."""
+        if self.window is None:
+            return rendered
+        left, top, right, bottom = self.window
+        image = np.zeros((self.camera.height, self.camera.width, 3), np.uint8)
+        image[top:bottom, left:right] = rendered
+        return image
+
+    def windowed(self, image: Image) -> Image:
+        """The part of a whole image that is rendered."""
+        if self.window is None:
+            return image
+        left, top, right, bottom = self.window
+        return image[top:bottom, left:right]
+
+    def masked(self, image: Image) -> Image:
+        """A whole image, black around the part that is rendered."""
+        return self.framed(self.windowed(image))
 
 
 @dataclass(frozen=True)
@@ -213,11 +258,6 @@ def camera_pose(position: ArrayLike, yaw: float, pitch: float) -> Array:
     return se3.from_rotation_translation(rotation, position)
 
 
-def wanted_views(planner: Planner) -> tuple[View, ...]:
-    """The planner's attribute `wanted_views`; () where it has none."""
-    return tuple(getattr(planner, "wanted_views", ()))
-
-
 def choose_views(views: Iterable[View], mounts: Mapping[str, CameraMount]) -> dict[str, str]:
     """The cameras that show views as they are, whatever they are called.
 
@@ -246,6 +286,27 @@ def _sampled(mount: CameraMount) -> Array:
     rays = camera.rays(_SAMPLES * [camera.width, camera.height])
     rays /= np.linalg.norm(rays, axis=-1, keepdims=True)
     return rays @ mount.rig_from_camera[:3, :3].T
+
+
+def seen_by(mount: CameraMount, cameras: Iterable[CameraMount]) -> Mask:
+    """Pixels (H, W) of a camera whose direction at least one other camera looks in.
+
+    Directions only: places are taken to be the same, as on one roof all are against what they see.
+    Large images are looked at in a smaller size: undoing a lens for two million pixels takes long.
+    """
+    full = mount.camera.width, mount.camera.height
+    shrink = max(1.0, max(full) / _SIDE)
+    small = mount.camera.resized(round(full[0] / shrink), round(full[1] / shrink))
+    rays = small.rays(small.pixel_grid()) @ mount.rig_from_camera[:3, :3].T
+    seen = np.zeros(rays.shape[:2], np.bool_)
+    for other in cameras:
+        pixels, depth = other.camera.project(rays @ other.rig_from_camera[:3, :3])
+        u, v = pixels[..., 0], pixels[..., 1]
+        inside = (u >= 0) & (u <= other.camera.width) & (v >= 0) & (v <= other.camera.height)
+        seen |= inside & (depth > 0)
+    if seen.shape[::-1] == full:
+        return seen
+    return cv2.resize(seen.astype(np.uint8), full, interpolation=cv2.INTER_NEAREST) > 0
 
 
 def nuplan_rig(scale: float = 1.0) -> dict[str, CameraMount]:

@@ -8,9 +8,8 @@ import numpy as np
 import pytest
 
 from recast.arrays import Array
-from recast.geometry import LensCamera, PinholeCamera, RadialLens, RationalLens
-from recast.geometry.lens import fisheye_lens, ftheta_lens
-from recast.planning import Lens
+from recast.cameras import Lens, LensCamera, PinholeCamera, RadialLens, RationalLens
+from recast.cameras.lenses import fisheye_lens, ftheta_lens
 
 FRONT = ftheta_lens(192, 108, 96.3, 53.6, (0.0, 1.08e-2, -2e-6, 2e-8), "angle", 1.2)
 AROUND = fisheye_lens(160, 160, 40.0, 40.0, 80.0, 80.0, (0.01, -0.001), 2.4)

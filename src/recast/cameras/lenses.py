@@ -1,6 +1,6 @@
 """Lenses that `PinholeCamera` cannot describe: OpenCV's rational model, fisheye and f-theta.
 
-Camera frame and pixels as in `recast.geometry.camera`. A lens gives rays of pixels and pixels of
+Camera frame and pixels as in `recast.cameras.pinhole`. A lens gives rays of pixels and pixels of
 rays; beyond its limit, where its polynomial turns back or its largest angle ends, both are NaN.
 """
 
@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from recast.arrays import Array
-from recast.geometry.camera import LONGEST, MOST_PIXELS
+from recast.cameras.pinhole import LONGEST, MOST_PIXELS
 
 _KNOTS = 2049
 _STEPS = 20

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from recast.arrays import Array
+from recast.geometry import boxes
 
 MOST_PIXELS = 1 << 26
 """Pixels of an image, at most: 8192 x 8192."""
@@ -159,3 +160,38 @@ def undistort(distorted: ArrayLike, distortion: ArrayLike) -> Array:
         jacobian = np.stack([ddx, ddy], axis=-1) / (2 * step)
         xy = xy - np.linalg.solve(jacobian, residual[..., None])[..., 0]
     return xy
+
+
+def box_outline(
+    size: ArrayLike, camera_from_box: ArrayLike, camera: PinholeCamera, near: float = 0.1
+) -> Array:
+    """Pixels (N, 2) whose convex hull is the image of a box; none where it is all behind `near`.
+
+    Edges that cross the near plane are cut there, so a box beside the camera keeps a finite,
+    correct outline.
+    """
+    points = boxes.corners(size, camera_from_box)
+    visible = [p for p in points if p[2] >= near]
+    for i, j in boxes.EDGES:
+        a, b = points[i], points[j]
+        if (a[2] < near) != (b[2] < near):
+            t = (near - a[2]) / (b[2] - a[2])
+            visible.append(a + t * (b - a))
+    if not visible:
+        return np.zeros((0, 2))
+    pixels, _ = camera.rectified().project(np.array(visible))
+    return pixels
+
+
+def box_rectangle(
+    size: ArrayLike, camera_from_box: ArrayLike, camera: PinholeCamera, near: float = 0.1
+) -> Array | None:
+    """Image rectangle (left, top, right, bottom) in pixels around a projected box, not clipped.
+
+    Returns:
+        (4,) or None where the whole box lies behind the near plane; see `box_outline`.
+    """
+    pixels = box_outline(size, camera_from_box, camera, near)
+    if len(pixels) == 0:
+        return None
+    return np.concatenate([pixels.min(axis=0), pixels.max(axis=0)])

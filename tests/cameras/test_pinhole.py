@@ -6,8 +6,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from recast.geometry import PinholeCamera
-from recast.geometry.camera import distort, undistort
+from recast.cameras import PinholeCamera
+from recast.cameras.pinhole import distort, undistort
 
 NUPLAN = (-0.356123, 0.172545, -0.002130, 0.000464, -0.052310)
 CAMERAS = {

@@ -9,8 +9,8 @@ import cv2
 import numpy as np
 
 from recast.arrays import Array, Image
-from recast.geometry import LensCamera, PinholeCamera
-from recast.geometry.camera import MOST_PIXELS
+from recast.cameras.lenses import LensCamera
+from recast.cameras.pinhole import MOST_PIXELS, PinholeCamera
 
 WIDEST = float(np.tan(np.deg2rad(60.0)))
 """Farthest that one pinhole looks to a side: 120 degrees in all. Splats smear further out."""
