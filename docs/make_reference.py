@@ -70,7 +70,7 @@ MODELS = {
         ("recast.recar.perturb.compose", "PerturbationConfig", "file for `--perturbations`"),
         ("recast.recar.training.stage_config", "StageConfig", "one stage of `recast recar train`"),
         ("recast.recar.training.stage_config", "FlowObjective", "`objective` of a stage"),
-        ("recast.recar.training.task", "TrainerSettings", "`trainer` of a training"),
+        ("recast.training.task", "TrainerSettings", "`trainer` of a training"),
     ),
     "Training of the small planner": (
         (

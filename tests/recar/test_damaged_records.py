@@ -19,16 +19,16 @@ from recast.recar.screening import Screening
 from recast.recar.shards import pack_set, read_shards
 from recast.recar.targets import TargetCache
 from recast.recar.training.asset_synthesis import AssetsRecord, make_assets
-from recast.recar.training.loop import train
 from recast.recar.training.output import read_training_record
 from recast.recar.training.stage_config import read_stage_config
-from recast.recar.training.state import STATE_FILE, steps_done
-from recast.recar.training.task import read_log_lines
+from recast.training.loop import train
+from recast.training.state import STATE_FILE, steps_done
+from recast.training.task import read_log_lines
 from support.crops import write_crops
+from support.line_task import SETTINGS, Line
 
 from .screenings import write_cache
 from .sets import write_set
-from .test_training import SETTINGS, Line
 
 DAMAGE = {
     "nested": b"[" * 100_000,

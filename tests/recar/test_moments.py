@@ -21,7 +21,9 @@ from recast.recar.ingest import ingest_photographs
 from recast.recar.screening import Screening
 from recast.recar.shards import pack_set
 from recast.recar.targets import build_targets
-from recast.recar.training.loop import train
+from recast.training.loop import train
+from support.line_task import SETTINGS as TRAINING
+from support.line_task import Line
 from support.moments import (
     changes_of,
     killed_before,
@@ -36,8 +38,6 @@ from .photographs import SETTINGS as PHOTOS
 from .photographs import write_photos
 from .screenings import write_cache
 from .sets import tree, write_set
-from .test_training import SETTINGS as TRAINING
-from .test_training import Line
 
 KILLS = 10
 Run = Callable[[Path], object]

@@ -28,7 +28,7 @@ from recast.recar.training.conditions import (
 )
 from recast.recar.training.flow_task import ConditionGap, FlowTask, LatentFlow, StructureFlow
 from recast.recar.training.stage_config import FlowObjective
-from recast.recar.training.task import StepRandom
+from recast.training.task import StepRandom
 from recast.trellis import ImageTo3D
 from recast.trellis.flow_matching import FlowMatching
 from support.tiny_stage import TinyStage, write_tiny_stage

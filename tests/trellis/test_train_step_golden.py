@@ -6,12 +6,8 @@ import pytest
 import torch
 from torch import Tensor, nn
 
-from recast.trellis.flow_matching import (
-    AdaptiveGradClipper,
-    ExponentialMovingAverage,
-    FlowLoss,
-    FlowMatching,
-)
+from recast.training.averages import AdaptiveGradClipper, ExponentialMovingAverage
+from recast.trellis.flow_matching import FlowLoss, FlowMatching
 from recast.trellis.models.flow_transformer import (
     SLatFlowConfig,
     SLatFlowModel,

@@ -146,10 +146,10 @@ class Train:
     def __call__(self) -> None:
         from rich.console import Console
 
-        from recast.recar.training.loop import Processes
         from recast.recar.training.stage import train_stage
         from recast.recar.training.stage_config import chosen_stage
         from recast.recar.training.stage_parts import StageRequest
+        from recast.training.loop import Processes
         from recast.weights import located
 
         config = chosen_stage(self.stage, self.config)

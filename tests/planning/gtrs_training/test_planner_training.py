@@ -30,8 +30,8 @@ from recast.planning.gtrs_training.task import (
 )
 from recast.planning.gtrs_training.train import export_planner, train_planner
 from recast.planning.gtrs_training.vocabulary import mirror_index
-from recast.recar.training.state import STATE_FILE
-from recast.recar.training.task import LOG_FILE, TrainerSettings, read_log_lines
+from recast.training.state import STATE_FILE
+from recast.training.task import LOG_FILE, TrainerSettings, read_log_lines
 
 TINY = GtrsConfig(
     backbone=BackboneConfig(

@@ -40,7 +40,7 @@ from recast.planning.gtrs_training.samples import (
 )
 from recast.planning.gtrs_training.targets import SCORED, unpacked
 from recast.planning.gtrs_training.vocabulary import mirror_index
-from recast.recar.training.task import StepLoss, StepRandom, TrainerSettings, overridden
+from recast.training.task import StepLoss, StepRandom, TrainerSettings, overridden
 
 _SCALES = (1.0, 12.0, 3.0, 1.0, 1.0, 0.4, 0.06, 0.6, 1.5, 3.0)
 """Usual sizes of the clues."""

@@ -38,10 +38,10 @@ from recast.planning.gtrs_training.task import (
     PlannerTrainingConfig,
     first_model,
 )
-from recast.recar.progress import TrainingBar
-from recast.recar.training.loop import train
 from recast.recar.training.output import hash_files
-from recast.recar.training.state import TrainingState
+from recast.training.loop import train
+from recast.training.progress import TrainingBar
+from recast.training.state import TrainingState
 
 TRAINING_FILE = "planner_training.json"
 _MEND = "name another output folder"

@@ -1,5 +1,5 @@
-"""Training that resumes bit for bit: the two-stage adaptation, and what small models are built on.
+"""The two-stage adaptation, and what small models are built on.
 
-`loop.train` trains any task; `stage.train_stage` runs a stage from a model folder to a new one;
+`stage.train_stage` runs a stage from a model folder to a new one;
 `assemble` makes that folder of the autoencoders and the image encoder, trained by `recipe`.
 """

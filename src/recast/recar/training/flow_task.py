@@ -21,7 +21,7 @@ from recast.recar.training.conditions import (
     draw_identities,
 )
 from recast.recar.training.stage_config import FlowObjective
-from recast.recar.training.task import StepLoss, StepRandom
+from recast.training.task import StepLoss, StepRandom
 from recast.trellis.flow_matching import FlowLoss, FlowMatching, sample_timesteps
 from recast.trellis.models.flow_transformer import SLatFlowModel, SparseStructureFlowModel
 from recast.trellis.sampler import Velocity, drop_condition

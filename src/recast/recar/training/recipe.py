@@ -25,9 +25,9 @@ from recast.recar.training.autoencoders import (
     view_azimuths,
     voxel_overlap,
 )
-from recast.recar.training.loop import Watch, train
-from recast.recar.training.task import TrainerSettings, TrainingTask
 from recast.scene import psnr
+from recast.training.loop import Watch, train
+from recast.training.task import TrainerSettings, TrainingTask
 from recast.trellis import crop_to_object
 from recast.trellis.checkpoints import SMALL, new_checkpoint, save_model
 from recast.trellis.checkpoints.pipeline_record import (

@@ -18,7 +18,6 @@ from recast.geometry import se3
 from recast.logs.images import encode
 from recast.recar.targets import TargetCache
 from recast.recar.training.conditions import ConditionTokens, View
-from recast.recar.training.state import TrainingState
 from recast.recar.views import (
     ELEVATION_DEG,
     FOV_DEG,
@@ -28,6 +27,7 @@ from recast.recar.views import (
     write_words,
 )
 from recast.splats import Gaussians, rasterize
+from recast.training.state import TrainingState
 from recast.trellis import GenerationLimits, ImageTo3D, generate
 from recast.trellis.sparse import SparseTensor
 

@@ -13,10 +13,8 @@ from torch import nn
 
 from recast.core.errors import InputError
 from recast.recar.perturb import PerturbationConfig, perturb
-from recast.recar.progress import TrainingBar, tensorboard_writer
 from recast.recar.training.conditions import ConditionTokens, Perturb
 from recast.recar.training.flow_task import ConditionGap, Flow, FlowTask, LatentFlow, StructureFlow
-from recast.recar.training.loop import Processes, train
 from recast.recar.training.output import (
     FlowRecord,
     TrainingRecord,
@@ -26,9 +24,11 @@ from recast.recar.training.output import (
 from recast.recar.training.sheets import StageSheets
 from recast.recar.training.stage_config import FlowName
 from recast.recar.training.stage_parts import StageParts, StageRequest, open_stage
-from recast.recar.training.state import TrainingState, steps_done
-from recast.recar.training.task import LOG_FILE, Means, TrainerSettings, read_log_lines
 from recast.recar.views import Image
+from recast.training.loop import Processes, train
+from recast.training.progress import TrainingBar, tensorboard_writer
+from recast.training.state import TrainingState, steps_done
+from recast.training.task import LOG_FILE, Means, TrainerSettings, read_log_lines
 from recast.trellis.checkpoints.pipeline_record import LATENT_FLOW, STRUCTURE_FLOW
 from recast.trellis.generation import Stopwatch
 

@@ -12,7 +12,7 @@ from recast.core.errors import InputError
 from recast.core.files import read_json
 from recast.core.records import Record, validation_error
 from recast.recar.perturb import PerturbationConfig
-from recast.recar.training.task import TrainerSettings, overridden
+from recast.training.task import TrainerSettings, overridden
 
 FlowName = Literal["structure", "latent"]
 

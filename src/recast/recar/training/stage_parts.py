@@ -19,9 +19,9 @@ from recast.recar.training.conditions import (
     missing_pictures,
     open_conditions,
 )
-from recast.recar.training.loop import Processes
 from recast.recar.training.output import StageInputs, hash_files, model_paths
 from recast.recar.training.stage_config import FlowName, StageConfig
+from recast.training.loop import Processes
 from recast.trellis import ImageTo3D
 
 _SHOWN = 3

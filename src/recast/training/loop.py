@@ -18,8 +18,8 @@ from torch import Tensor
 
 from recast.core.errors import InputError
 from recast.core.files import alone_in, disk_errors
-from recast.recar.training.state import TrainingState, steps_done
-from recast.recar.training.task import (
+from recast.training.state import TrainingState, steps_done
+from recast.training.task import (
     LOG_FILE,
     Means,
     StepRandom,

@@ -7,7 +7,7 @@ import pytest
 import torch
 from torch import nn
 
-from recast.trellis.flow_matching import AdaptiveGradClipper
+from recast.training.averages import AdaptiveGradClipper
 
 
 def with_norm(norm: float) -> list[nn.Parameter]:

@@ -19,8 +19,8 @@ from recast.core.errors import InputError
 from recast.core.files import atomic_file, parse_json
 from recast.core.records import Record, validation_error
 from recast.core.torch_file import opened_safetensors, read_safetensors
-from recast.recar.training.task import Means, TrainerSettings
-from recast.trellis.flow_matching import AdaptiveGradClipper, ExponentialMovingAverage
+from recast.training.averages import AdaptiveGradClipper, ExponentialMovingAverage
+from recast.training.task import Means, TrainerSettings
 
 STATE_FILE = "state.safetensors"
 _HEADER = "recast-training"
