@@ -21,7 +21,7 @@ LEVELS += avx2
 endif
 endif
 # The tests whose numbers may differ between processors; TESTS=tests for all.
-TESTS ?= tests/geometry tests/dynamics tests/evaluation tests/splats tests/trellis tests/planning/pdm \
+TESTS ?= tests/geometry tests/dynamics tests/metrics tests/splats tests/trellis tests/planning/pdm \
   tests/planning/gtrs
 
 .PHONY: help setup asam demo test test-portable $(LEVELS:%=test-at-%) lint types contracts docs unit fuzz bench wheel clean

@@ -17,9 +17,9 @@ import numpy as np
 import torch
 
 from recast.actors import insert, load_actor
-from recast.evaluation.oracle_poses import ViewSettings, place_views
-from recast.evaluation.oracle_views import Painter
 from recast.logs import read_log
+from recast.metrics.oracle_poses import ViewSettings, place_views
+from recast.metrics.oracle_views import Painter
 from recast.scene import load_scene
 from recast.simulation import camera_mounts
 from recast.splats import set_threads

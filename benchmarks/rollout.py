@@ -25,7 +25,6 @@ from raster import street
 from recast.cameras import CameraMount
 from recast.geometry import se3
 from recast.logs import Track
-from recast.pipeline.gtrs_data.stage import Stage, make_stage
 from recast.planning import (
     LogReplay,
     Plan,
@@ -41,6 +40,7 @@ from recast.scene.sky import SkyMap
 from recast.simulation import MOTIONS, RolloutSetup, Timings, run_rollout
 from recast.simulation.scene_renderer import SceneRenderer
 from recast.splats import Gaussians, set_threads
+from recast.studies.gtrs_data.stage import Stage, make_stage
 from recast.synthetic import make_rig
 
 _GROUND = 1.6

@@ -28,7 +28,7 @@ def main() -> None:
     options = parser.parse_args()
     began = time.perf_counter()
 
-    from recast.pipeline.view import view_inputs
+    from recast.runs.view import view_inputs
     from recast.viewer import Page
     from recast.viewer.stage import Shown
 

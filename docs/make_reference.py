@@ -33,7 +33,7 @@ PACKAGES = {
     "recast.planning.pdm": "PDM-Closed",
     "recast.planning.navsim": "NAVSIM agents",
     "recast.simulation": "Closed loop",
-    "recast.evaluation": "Metrics",
+    "recast.metrics": "Metrics",
     "recast.reporting": "Reports, films and pictures",
     "recast.viewer": "Viewer and replays",
     "recast.envs": "Gymnasium environments",
@@ -50,12 +50,12 @@ PACKAGES = {
     "recast.weights": "Published weights",
 }
 """Packages with a page of their public names (`__all__`), in the order of the overview."""
-LOOSE = {"recast.pipeline.face": "From a log to a report", "recast.core.errors": "Errors"}
+LOOSE = {"recast.face": "From a log to a report", "recast.core.errors": "Errors"}
 """Modules without `__all__` that `recast` takes names from."""
 MODELS = {
     "Runs": (
-        ("recast.pipeline.config", "RunConfig", "`config` in `run.json`, and files for `--config`"),
-        ("recast.pipeline.arms", "Arm", "one of `arms`, and one entry of a file for `--arm`"),
+        ("recast.runs.config", "RunConfig", "`config` in `run.json`, and files for `--config`"),
+        ("recast.runs.arms", "Arm", "one of `arms`, and one entry of a file for `--arm`"),
     ),
     "Scenes": (
         (
@@ -279,8 +279,8 @@ def api_overview() -> str:
     ]
     for module, names in recast._PLACES.items():
         page = next(name for name in (module, *PACKAGES, *LOOSE) if name in {**PACKAGES, **LOOSE})
-        if module == "recast.pipeline.arms":
-            lines.append("| [`Arm`](../configuration.md#arm) | `recast.pipeline.arms` |")
+        if module == "recast.runs.arms":
+            lines.append("| [`Arm`](../configuration.md#arm) | `recast.runs.arms` |")
             continue
         lines += [f"| [`{name}`][{module}.{name}] | [{page}]({page}.md) |" for name in names]
     lines += ["", "| package | what it has |", "|---|---|"]

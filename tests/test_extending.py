@@ -16,9 +16,9 @@ import recast
 from recast.actors import Asset, Observation
 from recast.actors.axes import VEHICLE
 from recast.cameras import CameraMount
-from recast.evaluation import Metric
 from recast.geometry import se3
 from recast.logs import DrivingLog
+from recast.metrics import Metric
 from recast.planning import Plan, PlannerInput, PlanningContext
 from recast.simulation import Rollout, SimState, StartSituation, camera_mounts
 from recast.splats import Gaussians

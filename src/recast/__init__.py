@@ -23,22 +23,22 @@ if TYPE_CHECKING:
     from recast.actors import load_actor as load_actor
     from recast.core import Store as Store
     from recast.core.errors import InputError as InputError
-    from recast.evaluation import RolloutMetrics as RolloutMetrics
+    from recast.face import evaluate as evaluate
+    from recast.face import load_scene as load_scene
+    from recast.face import make_actor as make_actor
+    from recast.face import reconstruct as reconstruct
+    from recast.face import run_grid as run_grid
+    from recast.face import score as score
+    from recast.face import write_report as write_report
     from recast.logs import DrivingLog as DrivingLog
     from recast.logs import load_log as load_log
     from recast.logs import write_log as write_log
-    from recast.pipeline.arms import Arm as Arm
-    from recast.pipeline.face import evaluate as evaluate
-    from recast.pipeline.face import load_scene as load_scene
-    from recast.pipeline.face import make_actor as make_actor
-    from recast.pipeline.face import reconstruct as reconstruct
-    from recast.pipeline.face import run_grid as run_grid
-    from recast.pipeline.face import score as score
-    from recast.pipeline.face import write_report as write_report
+    from recast.metrics import RolloutMetrics as RolloutMetrics
     from recast.planning import Plan as Plan
     from recast.planning import Planner as Planner
     from recast.planning import PlannerInput as PlannerInput
     from recast.planning import make_planner as make_planner
+    from recast.runs.arms import Arm as Arm
     from recast.scene import StreetScene as StreetScene
     from recast.simulation import Rollout as Rollout
     from recast.simulation import Simulator as Simulator
@@ -50,10 +50,10 @@ _PLACES = {
     "recast.actors": ("Actor", "load_actor"),
     "recast.core": ("Store",),
     "recast.core.errors": ("InputError",),
-    "recast.evaluation": ("RolloutMetrics",),
+    "recast.metrics": ("RolloutMetrics",),
     "recast.logs": ("DrivingLog", "load_log", "write_log"),
-    "recast.pipeline.arms": ("Arm",),
-    "recast.pipeline.face": (
+    "recast.runs.arms": ("Arm",),
+    "recast.face": (
         "evaluate",
         "load_scene",
         "make_actor",

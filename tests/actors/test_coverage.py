@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import torch
 
-from evaluation.box_world import CAMERA, FACES, MOUNTS, SIZE, box_log, box_shares, scene
+from metrics.box_world import CAMERA, FACES, MOUNTS, SIZE, box_log, box_shares, scene
 from recast.actors.coverage import NOTHING, Coverage, CoverageMeter
 from recast.geometry import se2, se3
 from recast.scene import SceneActor, SkyMap, StreetScene

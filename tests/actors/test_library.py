@@ -7,11 +7,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from evaluation.test_perceptual import write_clip
 
 from actors import made_up
 from actors.mesh.made import car as box_car
 from actors.mesh.made import picture, textured_square
-from evaluation.test_perceptual import write_clip
 from recast.actors import Actor, Observation, SplatGenerator, make_generator, save_actor
 from recast.actors import library as retrieval
 from recast.actors import library as summaries
@@ -21,7 +21,7 @@ from recast.actors.library import LibraryGenerator, Summary, paint_apart, size_a
 from recast.actors.mesh import MeshGenerator
 from recast.actors.vehicle_files import vehicle_generator
 from recast.core.errors import InputError
-from recast.pipeline.sources import generator_source
+from recast.runs.sources import generator_source
 from recast.splats import write_ply
 
 BLUE = np.array([0.05, 0.08, 0.6])

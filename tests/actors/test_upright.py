@@ -20,11 +20,11 @@ from recast.actors.icp import outer_surface
 from recast.actors.place import place_asset
 from recast.cli.main import main
 from recast.core.errors import InputError
-from recast.evaluation.generation_cell import place_canonical
 from recast.geometry import se3
 from recast.logs import DrivingLog
-from recast.pipeline.config import RunConfig
+from recast.runs.config import RunConfig
 from recast.splats import CLASSIC, MIP, Gaussians, LowPass, write_ply
+from recast.studies.generation.cell import place_canonical
 from recast.synthetic.vehicles import KINDS, sample_vehicle
 from recast.trellis import viewer_frame
 from recast.trellis.models.gaussians import (

@@ -15,8 +15,8 @@ import pytest
 from recast.cli.main import main
 from recast.cli.output import print_json, with_unit
 from recast.core import Store, files
-from recast.evaluation import COLUMNS
 from recast.logs import DrivingLog
+from recast.metrics import COLUMNS
 from support.trellis_folder import write_golden_model
 from support.vehicle_pictures import write_vehicles
 
@@ -176,8 +176,8 @@ def test_run_and_demo(
     def demo(out: Path, *_: object) -> None:
         _metrics(out / "run", means)
 
-    monkeypatch.setattr("recast.pipeline.run.run", ran)
-    monkeypatch.setattr("recast.pipeline.demo.demo", demo)
+    monkeypatch.setattr("recast.runs.run.run", ran)
+    monkeypatch.setattr("recast.runs.demo.demo", demo)
     words = ("demo",) if command == "demo" else ("run", "log", "--track", "0")
     (tmp_path / "run").mkdir()
     tables = rows_of(capsys, *words, "--out", tmp_path)
@@ -187,9 +187,9 @@ def test_run_and_demo(
 
 
 def test_bench(tmp_path: Path, capsys: Capture, monkeypatch: pytest.MonkeyPatch) -> None:
-    from recast.evaluation.grid import GridRow
-    from recast.evaluation.scene_level.summary import LevelRow, Value
-    from recast.pipeline.bench.results import summarise
+    from recast.metrics.scene_level.summary import LevelRow, Value
+    from recast.studies.grid_rows import GridRow
+    from recast.studies.results import summarise
 
     def ran(settings: Any, *_: object, **__: object) -> Any:
         scores = dict.fromkeys(COLUMNS, 1.0)
@@ -212,7 +212,7 @@ def test_bench(tmp_path: Path, capsys: Capture, monkeypatch: pytest.MonkeyPatch)
         rows[0] = rows[0].failed("ValueError", "no road")
         return summarise(rows, replace(settings, samples=10))
 
-    monkeypatch.setattr("recast.pipeline.bench.run_closed_loop", ran)
+    monkeypatch.setattr("recast.studies.run_closed_loop", ran)
     arms = [word for arm in ("native", "oracle", "recast+oracle") for word in ("--arm", arm)]
     common = ("--scenes", "urban-straight", "--out", tmp_path, *arms)
     # Motions may be given in one list, or one by one.
@@ -239,7 +239,7 @@ def test_bench(tmp_path: Path, capsys: Capture, monkeypatch: pytest.MonkeyPatch)
     assert tables["failures"][0]["reason"] == "no road"
 
     lines = [LevelRow("native", 3, {"lpips": Value(0.25, 0.1, float("nan"))})]
-    monkeypatch.setattr("recast.pipeline.bench.scene_level.run_scene_level", lambda *_, **__: lines)
+    monkeypatch.setattr("recast.studies.scene_level.run_scene_level", lambda *_, **__: lines)
     [score] = rows_of(capsys, "bench", "scene-level", *common)["scores"]
     assert (score["score"], score["value"], score["high"]) == ("lpips", 0.25, None)
 
@@ -254,7 +254,7 @@ def test_scene_eval(
     whole = RegionScore(30.0, 0.9)
     frame = FrameScore("front", 0, 0, whole, {"7": 25.0}, whole, depth)
     monkeypatch.setattr(
-        "recast.pipeline.scene.evaluate_and_print", lambda *_, **__: SceneEvaluation((frame,))
+        "recast.runs.scene.evaluate_and_print", lambda *_, **__: SceneEvaluation((frame,))
     )
     tables = rows_of(capsys, "scene", "eval", "scene", "--log", tiny_log_folder)
     assert [row["region"] for row in tables["held_out_images"]] == [
@@ -271,10 +271,10 @@ def test_scene_eval(
 def test_vehicles_and_planners(capsys: Capture) -> None:
     from recast.actors.actor import CandidateRecord, CandidateScore
     from recast.cli.rows import vehicles
-    from recast.evaluation.generation_summary import StudyBlock, StudyDifference, StudyRow
-    from recast.evaluation.pairs import Bootstrap
-    from recast.pipeline.evaluate_actors import ActorEvaluation, TrackResult
-    from recast.pipeline.planner_probe import ProbeRow
+    from recast.metrics.pairs import Bootstrap
+    from recast.studies.actors import ActorEvaluation, TrackResult
+    from recast.studies.generation.summary import StudyBlock, StudyDifference, StudyRow
+    from recast.studies.planner_probe import ProbeRow
 
     score = CandidateScore(
         outline=0.9, colour=None, lidar=1.0, lidar_median=0.02, free=0.1, total=40.0, fits=True

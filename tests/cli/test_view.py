@@ -9,8 +9,8 @@ import pytest
 
 from recast.cli.main import main
 from recast.logs import DrivingLog, map_of
-from recast.pipeline.view import view_inputs
 from recast.planning import make_planner
+from recast.runs.view import view_inputs
 from recast.simulation import MOTIONS, RolloutSetup, run_rollout, save_rollout
 
 pytest.importorskip("viser")

@@ -25,8 +25,8 @@ from support.moments import REMOVING, Work, changed, forked
 KILL = -signal.SIGKILL
 _LOADED = (
     "recast.cli.main",
-    "recast.pipeline.bench",
-    "recast.pipeline.run",
+    "recast.runs.bench",
+    "recast.runs.run",
     "matplotlib.backends.backend_agg",
     "torch.fx.experimental.symbolic_shapes",  # which training asks for
 )
@@ -110,7 +110,7 @@ def _child(args: list[str], fault: Fault, notes: Path) -> None:
     os.dup2(os.open(notes / "err", os.O_WRONLY | os.O_CREAT), sys.stderr.fileno())
     import torch
 
-    import recast.pipeline.actor as actor
+    import recast.runs.actor as actor
     from recast.actors.refine import Steps, refine
     from recast.cli.main import main
 

@@ -18,7 +18,7 @@ TIMES = ("times.json",)
 
 STEPS = (
     "scene/recast",
-    "evaluation/recast",
+    "metrics/recast",
     "registered/replaced",
     "actor/replaced",
     "turntable/replaced",

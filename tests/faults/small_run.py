@@ -5,8 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 
 from recast.core import files
-from recast.pipeline.layout import use_name
-from recast.pipeline.run_folder import RunFolder
+from recast.runs.layout import use_name
+from recast.runs.run_folder import RunFolder
 
 
 def small_run(folder: Path) -> Path:

@@ -10,17 +10,17 @@ from pathlib import Path
 import pytest
 from rich.console import Console
 
-import recast.pipeline.report
-import recast.pipeline.sources
+import recast.runs.report
+import recast.runs.sources
 from recast.logs import DrivingLog
-from recast.pipeline.arms import Arm
-from recast.pipeline.bench import parse_scenes
-from recast.pipeline.config import resolve_config
-from recast.pipeline.layout import use_name
-from recast.pipeline.rollouts import films
-from recast.pipeline.run import run
-from recast.pipeline.run_folder import RunFolder
 from recast.reporting.video import read_video
+from recast.runs.arms import Arm
+from recast.runs.config import resolve_config
+from recast.runs.layout import use_name
+from recast.runs.rollouts import films
+from recast.runs.run import run
+from recast.runs.run_folder import RunFolder
+from recast.studies import parse_scenes
 
 HOSTILE = (
     "../../x",
@@ -72,9 +72,9 @@ def test_a_run_with_hostile_names(
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    for module in (recast.pipeline.sources, recast.pipeline.report):
+    for module in (recast.runs.sources, recast.runs.report):
         monkeypatch.setattr(module, "read_log", lambda path: hostile)
-    monkeypatch.setattr("recast.pipeline.actor._TURNTABLE_VIEWS", 2)
+    monkeypatch.setattr("recast.runs.actor._TURNTABLE_VIEWS", 2)
     config = resolve_config(
         TRACK,
         ["advancing-a"],
@@ -127,7 +127,7 @@ def test_scenes_of_a_grid_with_hostile_names(
     """Two tracks whose names differ in what folders cannot hold are two scenes."""
     track = hostile.tracks[TRACK]
     both = dataclasses.replace(hostile, tracks={TRACK: track, TRACK.replace("/", "\\"): track})
-    monkeypatch.setattr("recast.pipeline.bench.grid.read_log", lambda path: both)
+    monkeypatch.setattr("recast.studies.grid.read_log", lambda path: both)
     ids = [parse_scenes([str(tmp_path)], 0, name)[0].id for name in both.tracks]
     assert len(set(ids)) == 2
     for name in ids:

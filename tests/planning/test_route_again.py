@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from recast.evaluation.route import route_completion
 from recast.geometry import Polyline, se2
 from recast.logs.types import DrivingLog, Track, Trajectory
+from recast.metrics.route import route_completion
 from recast.planning import IdmLaneFollower, LogReplay, ReferenceRoute
 from recast.simulation import LogReplay as Parked
 from recast.simulation import RolloutSetup, Stationary, run_rollout

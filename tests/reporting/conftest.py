@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from recast.actors.coverage import NOTHING, Coverage
-from recast.evaluation import rollout_metrics
-from recast.evaluation.trust import RolloutTrust
+from recast.metrics import rollout_metrics
+from recast.metrics.trust import RolloutTrust
 from recast.reporting import (
     ActorPart,
     Comparison,

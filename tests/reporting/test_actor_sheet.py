@@ -132,8 +132,8 @@ def test_the_command(actor: Actor, tmp_path: Path, capsys: pytest.CaptureFixture
 def test_the_film_of_the_command(
     actor: Actor, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("recast.pipeline.actor._TURNTABLE_VIEWS", 6)
-    monkeypatch.setattr("recast.pipeline.actor._TURNTABLE_SIZE", (64, 36))
+    monkeypatch.setattr("recast.runs.actor._TURNTABLE_VIEWS", 6)
+    monkeypatch.setattr("recast.runs.actor._TURNTABLE_SIZE", (64, 36))
     save_actor(actor, tmp_path / "actor")
     film = tmp_path / "car.mp4"
     assert main(["actor", "turntable", str(tmp_path / "actor"), "--out", str(film)]) == 0

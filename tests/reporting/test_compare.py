@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from recast.core.errors import InputError
-from recast.evaluation import rollout_metrics
+from recast.metrics import rollout_metrics
 from recast.reporting import ComparedRun, RolloutPart, ScenarioPart, write_comparison
 from recast.reporting.compare import differing_settings, metric_lines, outcome_rows
 from recast.simulation.rollout import RolloutFailure

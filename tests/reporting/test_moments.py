@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from recast.evaluation import rollout_metrics
+from recast.metrics import rollout_metrics
 from recast.reporting import NotMade, ReportInputs, RolloutPart, write_video
 from recast.reporting.birdseye import Birdseye
 from recast.reporting.marks import MapLayer

@@ -18,9 +18,9 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from recast.evaluation import rollout_metrics
-from recast.pipeline.report import report_run
+from recast.metrics import rollout_metrics
 from recast.reporting import ReportInputs, RolloutPart, ScenarioPart, write_report, write_video
+from recast.runs.report import report_run
 from reporting.made_up_rollouts import cut_in, straight_map
 
 sync_api = pytest.importorskip("playwright.sync_api")

@@ -4,7 +4,7 @@ import dataclasses
 
 import numpy as np
 
-from recast.evaluation import COLUMNS, rollout_metrics
+from recast.metrics import COLUMNS, rollout_metrics
 from recast.reporting import NotMade, RolloutPart, ScenarioPart, tables
 from recast.reporting.checks import checks
 from recast.reporting.inputs import ReportInputs

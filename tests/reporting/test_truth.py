@@ -10,8 +10,8 @@ import pytest
 from PIL import Image
 
 from recast.core.files import write_json
-from recast.evaluation import Agreement, OracleView, OracleViews, rollout_metrics
-from recast.evaluation.oracle_scores import summarise
+from recast.metrics import Agreement, OracleView, OracleViews, rollout_metrics
+from recast.metrics.oracle_scores import summarise
 from recast.reporting import (
     NotMade,
     ReportInputs,

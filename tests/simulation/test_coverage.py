@@ -11,8 +11,8 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
-from evaluation.box_world import CAMERA, MOUNTS, box_log, parked_at
-from evaluation.rollouts import make_rollout
+from metrics.box_world import CAMERA, MOUNTS, box_log, parked_at
+from metrics.rollouts import make_rollout
 from recast.actors.coverage import NOTHING, Coverage
 from recast.cameras import CameraMount, PinholeCamera
 from recast.core.errors import InputError

@@ -13,9 +13,9 @@ from synthetic_drives import drive
 from recast.core.errors import InputError
 from recast.dynamics import PACIFICA, VehicleParameters
 from recast.dynamics import state as ego
-from recast.evaluation import rollout_metrics
 from recast.logs.hdmap import HdMap
 from recast.logs.types import DrivingLog
+from recast.metrics import rollout_metrics
 from recast.planning import (
     ConstantVelocity,
     IdmLaneFollower,

@@ -12,8 +12,8 @@ from hypothesis import strategies as st
 from moved_worlds import curved_world, mirrored, mirrored_states, moved
 from synthetic_drives import drive
 
-from recast.evaluation import rollout_metrics
 from recast.geometry import se2
+from recast.metrics import rollout_metrics
 from recast.planning import ConstantVelocity, IdmLaneFollower, LogReplay, Planner
 from recast.planning.pdm import PdmClosedPlanner
 from recast.simulation import (

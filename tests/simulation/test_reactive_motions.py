@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 from synthetic_drives import drive
 
 from recast.core.errors import InputError
-from recast.evaluation.collision import constant_velocity_future
 from recast.geometry import boxes, se2
 from recast.logs.types import DrivingLog, Track, Trajectory
+from recast.metrics.collision import constant_velocity_future
 from recast.planning import ActorState, ConstantVelocity, IdmLaneFollower, LogReplay, ReferenceRoute
 from recast.simulation import (
     MOTIONS,

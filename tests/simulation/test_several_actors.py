@@ -13,10 +13,10 @@ from test_reactive_motions import Bad, line, with_track
 from test_rollout_loop import CountingRenderer, Recorder
 
 from recast.core.errors import InputError
-from recast.evaluation import rollout_metrics
-from recast.evaluation.pairs import script_difference
 from recast.geometry import boxes
 from recast.logs.types import DrivingLog
+from recast.metrics import rollout_metrics
+from recast.metrics.pairs import script_difference
 from recast.planning import ConstantVelocity, IdmLaneFollower, LogReplay
 from recast.simulation import (
     MOTIONS,

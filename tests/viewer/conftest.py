@@ -10,8 +10,8 @@ import torch
 
 from own_parts import Box
 from recast.logs import DrivingLog, HdMap, map_of
-from recast.pipeline.view_run import log_runner
 from recast.planning import make_planner
+from recast.runs.view_run import log_runner
 from recast.scene import StreetScene
 from recast.scene.sky import SkyMap
 from recast.scene.street_scene import SceneActor

@@ -17,7 +17,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from recast.pipeline.view import view_inputs
+from recast.runs.view import view_inputs
 from recast.viewer import Page, ViewInputs, write_replay
 
 pytest.importorskip("viser")

@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 import shapely
 
-from recast.evaluation import rollout_metrics
 from recast.geometry import se3
 from recast.logs import DrivingLog, HdMap
-from recast.pipeline import view_run
-from recast.pipeline.arms import Arm
+from recast.metrics import rollout_metrics
+from recast.runs import view_run
+from recast.runs.arms import Arm
 from recast.scene import StreetScene
 from recast.simulation import Rollout
 from recast.viewer import Drive, recording

@@ -18,10 +18,10 @@ from recast.actors.grounded_segmenter import GroundedSamSegmenter
 from recast.cli.main import main
 from recast.core.artefact import folder_hash
 from recast.core.errors import InputError
-from recast.pipeline.sources import generator_source, planner_source, segmenter_source
 from recast.planning import PLANNERS, make_planner
 from recast.planning.gtrs import folder, load_checkpoint, new_model, write_vocabulary
 from recast.planning.gtrs.folder import PREFIX
+from recast.runs.sources import generator_source, planner_source, segmenter_source
 from recast.weights import PUBLISHED, Licence, Source, Weights, located, place, weights_folder
 from recast.weights.fetch import fetch
 from recast.weights.fetched import read_weights_record

@@ -47,10 +47,10 @@ class Make:
         from recast.core.errors import require_range
         from recast.core.files import atomic_folder
         from recast.logs import read_log
-        from recast.pipeline.actor import ActorMakers, film_turntable, make_actor, refine_actor
-        from recast.pipeline.arms import MOST_VIEWS
-        from recast.pipeline.display import SamplingProgress, print_actor
-        from recast.pipeline.layout import TURNTABLE_FILE
+        from recast.runs.actor import ActorMakers, film_turntable, make_actor, refine_actor
+        from recast.runs.arms import MOST_VIEWS
+        from recast.runs.display import SamplingProgress, print_actor
+        from recast.runs.layout import TURNTABLE_FILE
         from recast.scene import SceneConfig, load_scene, read_training_config
 
         require_range(1, MOST_VIEWS, views=self.views)
@@ -116,7 +116,7 @@ class Generate:
     ] = None
 
     def __call__(self) -> None:
-        from recast.pipeline.generate_actor import (
+        from recast.runs.generate_actor import (
             GenerationRequest,
             cost_lines,
             generate_actors,
@@ -158,7 +158,7 @@ class Turntable:
 
     def __call__(self) -> None:
         from recast.actors import load_actor
-        from recast.pipeline.actor import film_turntable
+        from recast.runs.actor import film_turntable
 
         film_turntable(load_actor(self.actor), self.out)
 
@@ -175,7 +175,7 @@ class Show:
     ] = None
 
     def __call__(self) -> None:
-        from recast.pipeline.actor import show_actor
+        from recast.runs.actor import show_actor
 
         console_for(False).print(f"wrote {show_actor(self.actor, self.out)}", markup=False)
 

@@ -13,7 +13,7 @@ from recast.cli import shared
 from recast.cli.output import JSON, console_for, print_json
 
 if TYPE_CHECKING:
-    from recast.pipeline.bench import BenchSettings
+    from recast.studies import BenchSettings
 
 Lists = tyro.conf.UseAppendAction[tuple[tuple[str, ...], ...]]
 
@@ -85,7 +85,7 @@ class _Grid:
     json: Annotated[bool, JSON] = False
 
     def _settings(self, motions: Sequence[str], **options: Any) -> BenchSettings:
-        from recast.pipeline.bench import resolve_bench
+        from recast.studies import resolve_bench
 
         return resolve_bench(
             words=self.scenes,
@@ -123,7 +123,7 @@ class ClosedLoop(_Grid):
     """Run rollouts again that failed before."""
 
     def __call__(self) -> None:
-        from recast.pipeline.bench import run_closed_loop
+        from recast.studies import run_closed_loop
 
         settings = self._settings(tuple(name for names in self.motion for name in names))
         results = run_closed_loop(
@@ -178,8 +178,8 @@ class SceneLevel(_Grid):
     """Number of bootstrap samples of the intervals of Frechet distances."""
 
     def __call__(self) -> None:
-        from recast.evaluation.scene_level.frames import FrameRule
-        from recast.pipeline.bench.scene_level import (
+        from recast.metrics.scene_level.frames import FrameRule
+        from recast.studies.scene_level import (
             LEVEL_MOTIONS,
             LevelSettings,
             NetworkFiles,
@@ -246,7 +246,7 @@ class Trust:
     json: Annotated[bool, JSON] = False
 
     def __call__(self) -> None:
-        from recast.pipeline.bench.trust import run_trust
+        from recast.studies.trust import run_trust
 
         found = run_trust(
             self.grids, self.validate, self.out, console_for(self.json), self.calibration

@@ -55,9 +55,9 @@ class EvalActor:
     def __call__(self) -> None:
         from recast.actors import make_generator
         from recast.core.progress import ProgressBar
-        from recast.evaluation.perceptual import load_distances
         from recast.logs.store import LOG_FILE
-        from recast.pipeline.evaluate_actors import evaluate_actors, evaluation_table
+        from recast.metrics.perceptual import load_distances
+        from recast.studies.actors import evaluate_actors, evaluation_table
         from recast.weights import located
 
         if (self.set / LOG_FILE).is_file():
@@ -94,10 +94,10 @@ class EvalActor:
     def _judge_tracks(self) -> None:
         from recast.core.errors import InputError
         from recast.logs import read_log
-        from recast.pipeline.actor import ActorMakers
-        from recast.pipeline.display import SamplingProgress
-        from recast.pipeline.evaluate_actors import evaluate_tracks, tracks_table
+        from recast.runs.actor import ActorMakers
+        from recast.runs.display import SamplingProgress
         from recast.scene import load_scene, read_training_config
+        from recast.studies.actors import evaluate_tracks, tracks_table
 
         if self.scene is None:
             raise InputError("--scene", "scene", "is not given", "name the scene of this log")
@@ -167,15 +167,15 @@ class EvalGeneration:
 
     def __call__(self) -> None:
         from recast.core.progress import ProgressBar
-        from recast.evaluation.generation_report import (
+        from recast.studies.generation.maker import Measures
+        from recast.studies.generation.plan import StudySettings
+        from recast.studies.generation.report import (
             differences_table,
             paper_table,
             study_table,
         )
-        from recast.pipeline.generation_maker import Measures
-        from recast.pipeline.generation_plan import StudySettings
-        from recast.pipeline.generation_rows import parse_models, read_rows
-        from recast.pipeline.generation_study import run_study
+        from recast.studies.generation.rows import parse_models, read_rows
+        from recast.studies.generation.study import run_study
         from recast.weights import located
 
         models, beside = parse_models(self.model), dict[str, str]()
@@ -250,7 +250,7 @@ class EvalInputs:
     limit: Annotated[int | None, shared.LIMIT] = None
 
     def __call__(self) -> None:
-        from recast.pipeline.generation_plan import StudySettings, write_inputs
+        from recast.studies.generation.plan import StudySettings, write_inputs
 
         settings = StudySettings(
             {},

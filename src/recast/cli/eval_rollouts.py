@@ -26,7 +26,7 @@ class EvalRollouts:
 
     def __call__(self) -> None:
         from recast.core.progress import ProgressBar
-        from recast.pipeline.foreign_scores import (
+        from recast.studies.foreign_scores import (
             score_rows,
             score_run,
             score_table,

@@ -58,9 +58,9 @@ class Dataset:
 
         from recast.core.progress import ProgressBar
         from recast.core.records import validation_error
-        from recast.pipeline.gtrs_data.dataset import make_dataset
         from recast.planning.gtrs import read_vocabulary
         from recast.planning.gtrs_training.samples import DatasetRecord, SampleStore
+        from recast.studies.gtrs_data.dataset import make_dataset
         from recast.synthetic import SCENES
 
         console = console_for(False)
@@ -209,7 +209,7 @@ class Probe:
     json: Annotated[bool, JSON] = False
 
     def __call__(self) -> None:
-        from recast.pipeline.planner_probe import ProbeRequest, probe, probe_table
+        from recast.studies.planner_probe import ProbeRequest, probe, probe_table
         from recast.synthetic import SCENES
 
         request = ProbeRequest(

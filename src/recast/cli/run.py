@@ -52,8 +52,8 @@ class Run:
     json: Annotated[bool, JSON] = False
 
     def __call__(self) -> None:
-        from recast.pipeline.config import resolve_config
-        from recast.pipeline.run import run
+        from recast.runs.config import resolve_config
+        from recast.runs.run import run
 
         config = resolve_config(
             track=self.track,
@@ -101,7 +101,7 @@ class Demo:
 
     def __call__(self) -> None:
         from recast.actors import DEFAULT_GENERATOR
-        from recast.pipeline.demo import FULL, QUICK, RUN_FOLDER, demo
+        from recast.runs.demo import FULL, QUICK, RUN_FOLDER, demo
 
         out = self.out or Path("runs/demo-quick" if self.quick else "runs/demo")
         demo(
@@ -148,7 +148,7 @@ class Report:
             )
         from rich.console import Console
 
-        from recast.pipeline.report import compare_runs, report_run
+        from recast.runs.report import compare_runs, report_run
 
         if self.compare:
             assert self.out is not None
@@ -185,7 +185,7 @@ class View:
     def __call__(self) -> None:
         from rich.console import Console
 
-        from recast.pipeline.view import replay_what, require_limits, serve_what, view_inputs
+        from recast.runs.view import replay_what, require_limits, serve_what, view_inputs
 
         require_limits(self.what, self.port, self.max_gaussians, self.replay, self.replay_mb)
         console, inputs = Console(), view_inputs(self.what)

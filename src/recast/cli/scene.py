@@ -39,7 +39,7 @@ class Train:
 
     def __call__(self) -> None:
         from recast.logs import read_log
-        from recast.pipeline.scene import train_with_display
+        from recast.runs.scene import train_with_display
         from recast.scene import read_config, resolve_config
 
         names = ("cameras", "scale", "iterations", "force_dynamic", "seed", "threads")
@@ -72,7 +72,7 @@ class Eval:
 
     def __call__(self) -> None:
         from recast.logs import read_log
-        from recast.pipeline.scene import evaluate_and_print
+        from recast.runs.scene import evaluate_and_print
         from recast.weights import located
 
         evaluation = evaluate_and_print(

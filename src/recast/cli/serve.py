@@ -68,7 +68,7 @@ class Sensorsim(_Scenes):
     """Number of calls that may wait; further ones are refused."""
 
     def __call__(self) -> None:
-        from recast.pipeline.serve import ServeRequest, serve_sensorsim
+        from recast.runs.serve import ServeRequest, serve_sensorsim
 
         request = ServeRequest(
             self.scene,
@@ -104,7 +104,7 @@ class NeuroNcap(_Scenes):
     ] = None
 
     def __call__(self) -> None:
-        from recast.pipeline.serve import ServeRequest, serve_neuroncap
+        from recast.runs.serve import ServeRequest, serve_neuroncap
 
         request = ServeRequest(
             self.scene,

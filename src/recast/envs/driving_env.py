@@ -23,9 +23,9 @@ from recast.envs.spaces import (
     observation,
     observation_space,
 )
-from recast.evaluation.rollout_metrics import rollout_metrics
 from recast.logs import DrivingLog, load_log
 from recast.logs.hdmap import drivable_region
+from recast.metrics.rollout_metrics import rollout_metrics
 from recast.planning import Plan
 from recast.simulation import (
     AnyMotion,

@@ -10,8 +10,8 @@ import numpy as np
 import shapely
 from numpy.typing import ArrayLike
 
-from recast.evaluation.collision import TOUCHING, any_collision, no_collision
-from recast.evaluation.route import drivable_area_compliance
+from recast.metrics.collision import TOUCHING, any_collision, no_collision
+from recast.metrics.route import drivable_area_compliance
 from recast.planning import ReferenceRoute
 from recast.simulation import Rollout
 

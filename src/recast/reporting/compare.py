@@ -8,9 +8,9 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-from recast.evaluation import COLUMNS, RolloutMetrics, TableRow, table
-from recast.evaluation.pairs import script_difference
 from recast.logs.hdmap import HdMap
+from recast.metrics import COLUMNS, RolloutMetrics, TableRow, table
+from recast.metrics.pairs import script_difference
 from recast.reporting.birdseye import Birdseye
 from recast.reporting.inputs import NOT_MADE, NotMade, ReportInputs, RolloutPart, ScenarioPart
 from recast.reporting.marks import MapLayer

@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 
 from recast.actors.actor import CandidateRecord
 from recast.arrays import Array
-from recast.evaluation import OracleViews, RolloutMetrics
-from recast.evaluation.trust import RolloutTrust
 from recast.logs.hdmap import HdMap
+from recast.metrics import OracleViews, RolloutMetrics
+from recast.metrics.trust import RolloutTrust
 from recast.simulation.coverage import RolloutCoverage
 from recast.simulation.rollout import Rollout, RolloutFailure
 

@@ -8,7 +8,7 @@ from itertools import combinations
 
 import numpy as np
 
-from recast.evaluation.collision import CAP
+from recast.metrics.collision import CAP
 from recast.reporting.inputs import NotMade, RolloutPart
 from recast.reporting.plots import first_true, planned_paths, series
 from recast.reporting.summary import listed

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from recast.arrays import Array
 from recast.dynamics.comfort import PLAN_LIMITS
-from recast.evaluation.collision import CAP, TOUCHING
 from recast.geometry import boxes, se2
+from recast.metrics.collision import CAP, TOUCHING
 from recast.reporting import palette
 from recast.reporting.figure import INK, Figure, Plot
 from recast.simulation.coverage import RolloutCoverage

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from recast.core.files import atomic_file, disk_errors
-from recast.evaluation.trust import Reliability
+from recast.metrics.trust import Reliability
 from recast.reporting import palette
 from recast.reporting.figure import FAINT, INK, Figure
 

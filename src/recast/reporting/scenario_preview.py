@@ -11,8 +11,8 @@ from rich.table import Table
 
 from recast.arrays import Array, Image
 from recast.dynamics import state as ego
-from recast.evaluation.collision import TOUCHING
 from recast.geometry import boxes
+from recast.metrics.collision import TOUCHING
 from recast.reporting import palette
 from recast.reporting.canvas import Canvas, View, dashed
 from recast.reporting.marks import MapLayer, draw_car, draw_scale_bar, fitted_view

@@ -7,8 +7,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from recast.evaluation import RolloutMetrics
-from recast.evaluation.pairs import over_common_steps
+from recast.metrics import RolloutMetrics
+from recast.metrics.pairs import over_common_steps
 from recast.reporting.inputs import ActorPart, NotMade, ReportInputs, RolloutPart, ScenarioPart
 from recast.reporting.plots import Series, series
 from recast.reporting.tables import Tone

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Literal
 
-from recast.evaluation import COLUMNS, Metric, RolloutMetrics, TableRow, matched_pairs, table
+from recast.metrics import COLUMNS, Metric, RolloutMetrics, TableRow, matched_pairs, table
 from recast.reporting.inputs import Fact, ImageScore, NotMade, ScenarioPart
 from recast.simulation.rollout import RolloutFailure
 
@@ -31,7 +31,7 @@ DEFINITIONS: Mapping[str, str] = {
     "com_4_13": "Comfort with nuPlan's limit on jerk, 4.13 m/s³.",
     "com_nuplan_savgol": "Comfort with nuPlan's six checks on smoothed signals.",
 }
-"""By key of `recast.evaluation.COLUMNS`; higher is better for all."""
+"""By key of `recast.metrics.COLUMNS`; higher is better for all."""
 _SHORT_TTC = 1.0  # seconds: below, a driver hardly reacts
 MOVING = "what moves: boxes, length and width x 1.5"
 
@@ -69,7 +69,7 @@ class Line:
 
 
 def headings() -> tuple[Heading, ...]:
-    """Columns in the order of `recast.evaluation.COLUMNS`."""
+    """Columns in the order of `recast.metrics.COLUMNS`."""
     return tuple(
         Heading(column.label, DEFINITIONS[key], column.headline) for key, column in COLUMNS.items()
     )

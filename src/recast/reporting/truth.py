@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from recast.evaluation import Agreement, AngleBin, OracleView, OracleViews, read_oracle_views
+from recast.metrics import Agreement, AngleBin, OracleView, OracleViews, read_oracle_views
 from recast.reporting import palette
 from recast.reporting.actor_sheet import SIDES
 from recast.reporting.figure import Figure, Plot

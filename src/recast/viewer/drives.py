@@ -16,12 +16,12 @@ from numpy.typing import NDArray
 from recast.arrays import Array, Image
 from recast.cameras import CameraMount, PinholeCamera
 from recast.dynamics import PACIFICA
-from recast.evaluation.collision import any_collision
-from recast.evaluation.rollout_metrics import rollout_collisions
-from recast.evaluation.route import drivable_area_compliance
 from recast.geometry import se3
 from recast.logs import CameraStream, DrivingLog, HdMap, Trajectory
 from recast.logs.hdmap import drivable_region
+from recast.metrics.collision import any_collision
+from recast.metrics.rollout_metrics import rollout_collisions
+from recast.metrics.route import drivable_area_compliance
 from recast.reporting.video import iterate_video
 from recast.scene import SceneActor, StreetScene
 from recast.simulation import Rollout

@@ -7,22 +7,22 @@ from pathlib import Path
 
 import numpy as np
 
-from evaluation.rollouts import make_rollout
 from fuzz.target import Target
+from metrics.rollouts import make_rollout
 from recast.actors.coverage import NOTHING, Coverage
 from recast.core.files import write_json
-from recast.evaluation.trust import packaged_calibration, read_calibration, write_calibration
 from recast.geometry import se3
 from recast.logs.hdmap import HdMap, Lane
 from recast.logs.importers.nuscenes import KEY_FRAMES
-from recast.pipeline.arm_words import parse_arms
-from recast.pipeline.config import RunConfig, read_run_config
-from recast.pipeline.layout import use_name
-from recast.pipeline.rollouts import given_views
-from recast.pipeline.run_folder import RunFolder
+from recast.metrics.trust import packaged_calibration, read_calibration, write_calibration
 from recast.planning import ShownView
 from recast.protocols.neuroncap.scenario_file import read_ncap_scenario
 from recast.protocols.neuroncap.scenario_runs import ncap_runs
+from recast.runs.arm_words import parse_arms
+from recast.runs.config import RunConfig, read_run_config
+from recast.runs.layout import use_name
+from recast.runs.rollouts import given_views
+from recast.runs.run_folder import RunFolder
 from recast.simulation import MOTIONS, load_rollout, save_rollout, scenario_record
 from recast.simulation.coverage import ImageCoverage, RolloutCoverage
 from recast.simulation.openx import (

@@ -7,16 +7,16 @@ from pathlib import Path
 from typing import Any
 
 from recast.cli.output import Rows, with_unit
-from recast.evaluation import COLUMNS
-from recast.evaluation.pairs import Bootstrap
-from recast.evaluation.scene_level.summary import LevelRow
-from recast.evaluation.trust import Reliability
-from recast.evaluation.verdict_parts import PartLoss
-from recast.evaluation.verdicts import VerdictCounts
-from recast.pipeline.bench.results import GridResults
-from recast.pipeline.foreign_scores import SCORES, ForeignScores, ScoreRow
-from recast.pipeline.layout import METRICS_FILE
-from recast.pipeline.scores import read_metrics
+from recast.metrics import COLUMNS
+from recast.metrics.pairs import Bootstrap
+from recast.metrics.scene_level.summary import LevelRow
+from recast.metrics.trust import Reliability
+from recast.runs.layout import METRICS_FILE
+from recast.runs.scores import read_metrics
+from recast.studies.foreign_scores import SCORES, ForeignScores, ScoreRow
+from recast.studies.results import GridResults
+from recast.studies.verdict_parts import PartLoss
+from recast.studies.verdicts import VerdictCounts
 
 
 def run_rows(folder: Path) -> Rows:

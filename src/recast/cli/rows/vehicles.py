@@ -8,14 +8,14 @@ from typing import Any
 from recast.actors.actor import CandidateRecord
 from recast.cli.output import Rows, with_unit
 from recast.core.errors import InputError
-from recast.evaluation.generation_summary import STUDY_COLUMNS, StudyBlock
-from recast.pipeline.evaluate_actors import ActorEvaluation, TrackResult
-from recast.pipeline.planner_probe import ProbeRow
 from recast.recar.statistics import SetStatistics
 from recast.recar.targets import TargetCache
 from recast.recar.targets.builder import TargetStatistics
 from recast.recar.turntable import TurntableFit
 from recast.recar.views import VehicleSource
+from recast.studies.actors import ActorEvaluation, TrackResult
+from recast.studies.generation.summary import STUDY_COLUMNS, StudyBlock
+from recast.studies.planner_probe import ProbeRow
 from recast.trellis.checkpoints import ModelCheck
 
 

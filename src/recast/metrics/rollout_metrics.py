@@ -1,0 +1,257 @@
+"""All metrics of one closed-loop rollout."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from recast.logs.hdmap import HdMap, drivable_region
+from recast.metrics.collision import (
+    TOUCHING,
+    Collision,
+    TimeToCollision,
+    any_collision,
+    constant_velocity_future,
+    least_time,
+    no_collision,
+    realised_future,
+    time_to_collision,
+)
+from recast.metrics.comfort import (
+    Comfort,
+    com_4_13,
+    com_driven,
+    com_hugsim,
+    com_nuplan_savgol,
+)
+from recast.metrics.route import (
+    TOLERANCE,
+    DrivableArea,
+    RouteCompletion,
+    drivable_area_compliance,
+    route_completion,
+)
+from recast.metrics.table import COLUMNS, Metric
+from recast.simulation.rollout import Rollout
+
+Array = NDArray[Any]
+
+_OF_ROLLOUT = (
+    *("name", "arm", "track_id", "motion", "setting", "planner", "start_timestamp_us"),
+    *("steps_requested", "steps_run", "cut_reason"),
+)
+
+
+@dataclass(frozen=True)
+class RolloutMetrics:
+    """What one rollout scored, and why.
+
+    Attributes:
+        name, arm, track_id, motion, setting, planner, start_timestamp_us, steps_requested,
+            cut_reason: the rollout's fields of the same names, see `Rollout`.
+        steps_run: executed steps S; C plans were made.
+        plan_steps: (C,) steps at which they were made.
+        map_derived: whether the map was made from the drive itself; None without a map.
+        collision, drivable, ttc, ttc_constant_velocity, progress: values with their arrays; over
+            all controlled actors.
+        collisions: NC with each controlled actor, by track id, the target first.
+        comfort, comfort_4_13, comfort_nuplan_savgol: three readings of COM; the first is the
+            headline.
+        driven: nuPlan's comfort of what was driven.
+        rollout, hd_map: what was scored.
+    """
+
+    name: str
+    arm: str
+    track_id: str
+    motion: str
+    setting: str
+    planner: str
+    start_timestamp_us: int
+    steps_requested: int
+    steps_run: int
+    cut_reason: str | None
+    plan_steps: tuple[int, ...]
+    map_derived: bool | None
+    collision: Collision
+    collisions: Mapping[str, Collision]
+    drivable: DrivableArea
+    ttc: TimeToCollision
+    ttc_constant_velocity: TimeToCollision
+    progress: RouteCompletion
+    comfort: Comfort
+    comfort_4_13: Comfort
+    comfort_nuplan_savgol: Comfort
+    driven: Comfort
+    rollout: Rollout = field(repr=False)
+    hd_map: HdMap | None = field(repr=False)
+
+    def __str__(self) -> str:
+        """The headline metrics, a line each, with their reasons."""
+        lines = [f"{self.name} by {self.planner}: {self.steps_run} of {self.steps_requested} steps"]
+        if self.cut_reason is not None:
+            lines[0] += f" ({self.cut_reason})"
+        for name, metric in self.values.items():
+            column = COLUMNS[name]
+            if not column.headline:
+                continue
+            shown = "n/a" if metric.value is None else f"{column.scale * metric.value:.2f}"
+            line = f"  {column.label:<11}{shown:>7} {column.unit:<2}"
+            lines.append(line if metric.reason is None else f"{line} {metric.reason}")
+        return "\n".join(lines)
+
+    @property
+    def plans(self) -> int:
+        """How many plans C were made."""
+        return len(self.plan_steps)
+
+    def over(self, steps: int) -> RolloutMetrics:
+        """The metrics that the rollout would have, had it ended after `steps` of its steps."""
+        if steps == self.steps_run:
+            return self
+        return rollout_metrics(self.rollout.first(steps), self.hd_map)
+
+    @property
+    def values(self) -> dict[str, Metric]:
+        """Every metric by name; the names are the keys of `recast.metrics.table.COLUMNS`."""
+        return {
+            "nc": self.collision.nc,
+            "dac": self.drivable.dac,
+            "ttc": self.ttc.ttc,
+            "r_c": self.progress.r_c,
+            "com": self.comfort.com,
+            "com_driven": self.driven.com,
+            "ttc_constant_velocity": self.ttc_constant_velocity.ttc,
+            "r_c_projection": self.progress.r_c_projection,
+            "com_4_13": self.comfort_4_13.com,
+            "com_nuplan_savgol": self.comfort_nuplan_savgol.com,
+        }
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain data: the same rollout gives the same bytes (no times, no addresses)."""
+        distance = self.drivable.distance
+        outside: list[int] = []
+        if distance is not None:
+            outside = np.flatnonzero((distance > TOLERANCE).any(axis=1)).tolist()
+        several: dict[str, Any] = {}
+        if len(self.collisions) > 1:
+            steps = {track_id: one.first_step for track_id, one in self.collisions.items()}
+            several["first_collision_step_of"] = steps
+        return {
+            **{name: getattr(self, name) for name in _OF_ROLLOUT},
+            "metrics": {name: metric.to_json() for name, metric in self.values.items()},
+            "per_step": {
+                "overlap_steps": np.flatnonzero(self.collision.overlap > TOUCHING).tolist(),
+                "first_collision_step": self.collision.first_step,
+                "largest_overlap_m2": float(self.collision.overlap.max()),
+                "off_road_steps": outside,
+                "largest_off_road_m": None if distance is None else float(distance.max()),
+                "map_derived": self.map_derived,
+                "route_length_m": self.progress.route_length,
+                "com_driven_failed": [name for one in self.driven.failed_checks() for name in one],
+                **several,
+            },
+            "per_cycle": {
+                "plan_steps": list(self.plan_steps),
+                "ttc": self.ttc.per_cycle.tolist(),
+                "ttc_constant_velocity": self.ttc_constant_velocity.per_cycle.tolist(),
+                "com_failed": self.comfort.failed_checks(),
+                "com_4_13_failed": self.comfort_4_13.failed_checks(),
+                "com_nuplan_savgol_failed": self.comfort_nuplan_savgol.failed_checks(),
+            },
+        }
+
+
+def rollout_metrics(rollout: Rollout, hd_map: HdMap | None) -> RolloutMetrics:
+    """Compute NC, DAC, TTC, R_c and COM of a rollout of any length.
+
+    The definitions are those of the paper as this project reads them: see `docs/metrics.md`.
+
+    Args:
+        rollout: validated rollout.
+        hd_map: map of the rollout's log; without one DAC has no value.
+    """
+    ego_boxes, dt = rollout.ego_boxes, rollout.dt
+    steps = np.asarray(rollout.plan_steps, np.int64)
+    actors = rollout_actors(rollout)
+    collisions = rollout_collisions(rollout)
+    collision = any_collision(list(collisions.values()))
+
+    def ttc(future: Callable[[Array, Array, float], Array]) -> TimeToCollision:
+        return least_time(
+            [
+                time_to_collision(
+                    rollout.ego[steps, :3],
+                    rollout.predictions,
+                    rollout.ego_size,
+                    rollout.ego_centre_offset,
+                    future(actor.states, steps, dt),
+                    actor.size,
+                    steps,
+                    dt,
+                    actor.name,
+                )
+                for actor in actors
+            ]
+        )
+
+    return RolloutMetrics(
+        **{name: getattr(rollout, name) for name in _OF_ROLLOUT},
+        plan_steps=tuple(int(step) for step in steps),
+        map_derived=None if hd_map is None else hd_map.derived,
+        collision=collision,
+        collisions=collisions,
+        drivable=drivable_area_compliance(ego_boxes, rollout.ego_size, drivable_region(hd_map), dt),
+        ttc=ttc(realised_future),
+        ttc_constant_velocity=ttc(constant_velocity_future),
+        progress=route_completion(rollout.ego, rollout.route, collision.first_step),
+        comfort=com_hugsim(rollout.predictions, dt),
+        comfort_4_13=com_4_13(rollout.predictions, dt),
+        comfort_nuplan_savgol=com_nuplan_savgol(rollout.predictions, dt),
+        driven=com_driven(rollout.ego, dt),
+        rollout=rollout,
+        hd_map=hd_map,
+    )
+
+
+def rollout_collisions(rollout: Rollout) -> dict[str, Collision]:
+    """NC with each controlled actor, by track id, the target first."""
+    return {
+        actor.track_id: no_collision(
+            rollout.ego_boxes, rollout.ego_size, actor.states, actor.size, rollout.dt, actor.name
+        )
+        for actor in rollout_actors(rollout)
+    }
+
+
+class RolloutActor(NamedTuple):
+    """A controlled actor as the metrics see it.
+
+    Attributes:
+        name: name of the actor in reasons.
+        category: category, see `Track.category`; a rollout does not keep the target's: "vehicle".
+        states: (S+1, 4) x, y, heading of the box centre, speed.
+        size: (3,) length, width, height, metres.
+    """
+
+    track_id: str
+    name: str
+    category: str
+    states: Array
+    size: Array
+
+
+def rollout_actors(rollout: Rollout) -> list[RolloutActor]:
+    """All controlled ones, the target first."""
+    target = RolloutActor(
+        rollout.track_id, "the actor", "vehicle", rollout.actor, rollout.actor_size
+    )
+    further = (
+        RolloutActor(one.track_id, f"actor {one.track_id}", one.category, one.states, one.size)
+        for one in rollout.controlled
+    )
+    return [target, *further]

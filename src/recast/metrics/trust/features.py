@@ -1,0 +1,261 @@
+"""Features of a rollout that need no truth and tell how far to trust its verdict."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+import shapely
+
+from recast.actors.coverage import Coverage
+from recast.arrays import Array, Int64Array
+from recast.dynamics import plan_to_poses
+from recast.geometry import boxes
+from recast.metrics.collision import CAP, TOUCHING
+from recast.metrics.pairs import over_common_steps
+from recast.metrics.rollout_metrics import RolloutMetrics
+from recast.metrics.trust.views import GivenCamera, HeldOutFrame, RecordedViews, VehicleView
+from recast.simulation.coverage import RolloutCoverage
+from recast.simulation.rollout import Rollout
+
+
+@dataclass(frozen=True)
+class Feature:
+    """A feature of a rollout.
+
+    Attributes:
+        what: its meaning, for people.
+        sign: 1 if more of it can only raise the trust, -1 if it can only lower it, 0 if either may
+            be; None for one that the model does not read.
+        logarithmic: whether the model reads log(1 + value): lengths and sizes, whose small values
+            matter most.
+    """
+
+    what: str
+    sign: Literal[-1, 0, 1] | None
+    logarithmic: bool = False
+
+
+FEATURES: Mapping[str, Feature] = {
+    "seen": Feature("share of the shown vehicle that the log has images of", 1),
+    "mirrored": Feature("share of the shown vehicle mirrored from its other side", None),
+    "invented": Feature("share of the shown vehicle that the generator invented", -1),
+    "without_shares": Feature("1 if nothing says which parts of the vehicle were seen", 0),
+    "view_angle_deg": Feature("degrees from the log's views of the vehicle", -1),
+    "camera_distance_m": Feature("metres from the log's nearest camera pose", -1, True),
+    "camera_angle_deg": Feature("degrees from the log's nearest camera pose", -1, True),
+    "held_out_psnr_db": Feature("PSNR in dB of the nearest held-out frames", 1),
+    "held_out_ssim": Feature("SSIM of the nearest held-out frames", 1),
+    "vehicle_px": Feature("size in pixels of the vehicle at the plan that changed most", 0, True),
+    "plan_change_m": Feature("metres by which the plan changed most", -1, True),
+    "margin_m": Feature("metres that the verdict is from flipping", 1, True),
+    "least_ttc_s": Feature("least time to collision in seconds, of a rollout without one", 1),
+    "noise_flips": Feature("share of the arm's rollouts under other noise that end otherwise", -1),
+    "collision": Feature("1 if the verdict is a collision", 0),
+}
+"""All features by name. Shares and angles of the vehicle are means over the images of the plans
+that led to the verdict, weighed by the vehicle's area. `mirrored` is what `seen` and `invented`
+leave, so that the model's signs order the three."""
+SHARES = ("seen", "mirrored", "invented")
+
+
+@dataclass(frozen=True)
+class TrustFeatures:
+    """The features of one rollout, and the steps that its verdict rests on.
+
+    Attributes:
+        values: values of the features, by name; a feature that is not known is not there.
+        missing: reasons why features are not known, by name, in words.
+        changed: plan step at which the plan changed most, the plan that mattered.
+        closest: step of the first contact, or of the smallest gap without one.
+        view: how the camera that shows it largest shows the vehicle at `changed`; None if no
+            camera shows it.
+        coverage: coverage of the planner's images at `changed`; None if the vehicle has no shares.
+    """
+
+    values: Mapping[str, float]
+    missing: Mapping[str, str]
+    changed: int
+    closest: int
+    view: VehicleView | None
+    coverage: Coverage | None
+
+
+def trust_features(
+    metrics: RolloutMetrics,
+    recorded: RecordedViews,
+    cameras: Sequence[GivenCamera],
+    coverage: RolloutCoverage | None,
+    frames: Sequence[HeldOutFrame],
+    disturbed: Sequence[RolloutMetrics] = (),
+) -> TrustFeatures:
+    """The features of a scored rollout of a planner that looks at images.
+
+    Only plans before the first contact count: what comes later has no part in the verdict.
+
+    Args:
+        recorded: recorded views of the rollout's log and target.
+        cameras: cameras that the planner is given; at least one.
+        coverage: coverage of the rollout's images; None for a vehicle without shares.
+        frames: held-out scores of the street; empty if no image was held out.
+        disturbed: the same scenario, planner and arm under other noise; empty if it was not driven
+            so.
+
+    Raises:
+        ValueError: no plan, or no camera.
+    """
+    rollout, contact = metrics.rollout, metrics.collision.first_step
+    if not len(rollout.plan_steps) or not cameras:
+        raise ValueError(f"trust_features: {metrics.plans} plans, {len(cameras)} cameras")
+    count = len(rollout.plan_steps)
+    if contact is not None:
+        count = max(1, int(np.searchsorted(rollout.plan_steps, contact)))
+    steps = rollout.plan_steps[:count]
+    values: dict[str, float] = {"collision": float(contact is not None)}
+    missing: dict[str, str] = {}
+    changes = plan_changes(rollout)[: count - 1]
+    # Rounded, or noise of 1e-15 would decide between plans that hardly change.
+    changed = int(steps[1 + int(np.argmax(changes.round(6)))] if len(changes) else steps[0])
+    if len(changes):
+        values["plan_change_m"] = float(changes.max())
+    else:
+        missing["plan_change_m"] = "one plan led to the verdict"
+    values["margin_m"], closest = _margin(rollout, contact)
+    least = None if metrics.ttc.ttc.value is None else float(metrics.ttc.per_cycle.min())
+    if contact is None and least is not None:
+        values["least_ttc_s"] = min(least, CAP)
+    else:
+        reason = "it has no value" if contact is None else "the rollout collides"
+        missing["least_ttc_s"] = reason
+    if disturbed:
+        values["noise_flips"] = float(np.mean([_flips(metrics, one) for one in disturbed]))
+    else:
+        missing["noise_flips"] = "the arm was driven under one noise"
+    _add_shares(values, missing, coverage, steps)
+    view = _add_views(values, missing, rollout, recorded, cameras, steps, changed)
+    _add_street(values, missing, rollout, recorded, cameras, steps, frames)
+    at = None if coverage is None else _of_steps(coverage, np.array([changed]))
+    return TrustFeatures(values, missing, changed, closest, view, at)
+
+
+def plan_changes(rollout: Rollout) -> Array:
+    """(C-1,) mean metres between each plan and the one before it, at the times of both.
+
+    Zero for two plans without a common time.
+    """
+    starts, found = rollout.ego[rollout.plan_steps, :3], []
+    poses = plan_to_poses(starts, rollout.predictions)[..., 1:, :2]
+    for i, between in enumerate(np.diff(rollout.plan_steps)):
+        common = poses.shape[1] - int(between)
+        before, after = poses[i, int(between) :], poses[i + 1, : max(common, 0)]
+        apart = np.linalg.norm(before - after, axis=-1)
+        found.append(float(apart.mean()) if common > 0 else 0.0)
+    return np.array(found)
+
+
+def _margin(rollout: Rollout, contact: int | None) -> tuple[float, int]:
+    """Metres that the verdict is from flipping, and the step of the contact or the smallest gap.
+
+    Without a contact the smallest gap; else how far the ego would have had to be moved to be free
+    of the actor, at the deepest of the first contact.
+    """
+    ego, gaps, depths = rollout.ego_boxes, [], []
+    others = [(one.states, one.size) for one in rollout.controlled]
+    for states, size in [(rollout.actor, rollout.actor_size), *others]:
+        gaps.append(
+            shapely.distance(
+                shapely.polygons(boxes.bev_corners(ego, *rollout.ego_size)),
+                shapely.polygons(boxes.bev_corners(states[:, :3], *size[:2])),
+            )
+        )
+        area = boxes.bev_overlap_area(ego, rollout.ego_size, states[:, :3], size)
+        depth = boxes.bev_depth(ego, rollout.ego_size, states[:, :3], size)
+        depths.append(np.where(area > TOUCHING, depth, 0.0))
+    gap, depth = np.min(gaps, axis=0), np.max(depths, axis=0)
+    if contact is None:
+        closest = int(np.argmin(gap))
+        return float(gap[closest]), closest
+    free = np.flatnonzero(depth[contact:] <= 0.0)
+    end = len(depth) if len(free) == 0 else contact + int(free[0])
+    return float(depth[contact:end].max(initial=0.0)), contact
+
+
+def _flips(one: RolloutMetrics, other: RolloutMetrics) -> bool:
+    """Whether the verdict is another one over the steps that both rollouts have."""
+    one, other = over_common_steps(one, other)
+    return one.collision.nc.value != other.collision.nc.value
+
+
+def _of_steps(coverage: RolloutCoverage, steps: Int64Array) -> Coverage:
+    """Shares of the vehicle in the planner's images at some steps; all images if it has none."""
+    images = (coverage.of_planner or coverage).images
+    return Coverage.mean(one.coverage for one in images if one.step in steps)
+
+
+def _add_shares(
+    values: dict[str, float],
+    missing: dict[str, str],
+    coverage: RolloutCoverage | None,
+    steps: Int64Array,
+) -> None:
+    values["without_shares"] = float(coverage is None)
+    mean = None if coverage is None else _of_steps(coverage, steps)
+    if mean is not None and mean.pixels > 0:
+        values.update({name: getattr(mean, name) for name in SHARES})
+        return
+    reason = (
+        "the vehicle's shares were not measured" if mean is None else "no image shows the vehicle"
+    )
+    missing.update(dict.fromkeys(SHARES, reason))
+
+
+def _add_views(
+    values: dict[str, float],
+    missing: dict[str, str],
+    rollout: Rollout,
+    recorded: RecordedViews,
+    cameras: Sequence[GivenCamera],
+    steps: Int64Array,
+    changed: int,
+) -> VehicleView | None:
+    views = {
+        int(step): [recorded.vehicle(rollout, int(step), camera) for camera in cameras]
+        for step in steps
+    }
+    shown = [one for several in views.values() for one in several if one.pixels > 0]
+    if not shown:
+        missing["view_angle_deg"] = "no image shows the vehicle"
+    elif any(one.angle is None for one in shown):
+        missing["view_angle_deg"] = "the log never shows the vehicle well"
+    else:
+        weights = [one.pixels for one in shown]
+        angles = [one.angle for one in shown if one.angle is not None]
+        values["view_angle_deg"] = float(np.average(angles, weights=weights))
+    largest = max(views[changed], key=lambda one: one.pixels)
+    values["vehicle_px"] = float(np.sqrt(largest.pixels))
+    return largest if largest.pixels > 0 else None
+
+
+def _add_street(
+    values: dict[str, float],
+    missing: dict[str, str],
+    rollout: Rollout,
+    recorded: RecordedViews,
+    cameras: Sequence[GivenCamera],
+    steps: Int64Array,
+    frames: Sequence[HeldOutFrame],
+) -> None:
+    offsets = recorded.offsets(rollout, steps, cameras).mean(axis=0)
+    for name, offset in zip(("camera_distance_m", "camera_angle_deg"), offsets, strict=True):
+        if np.isfinite(offset):
+            values[name] = float(offset)
+        else:
+            missing[name] = "the log has no image of these cameras"
+    quality = recorded.quality(rollout, steps, cameras, frames)
+    for i, name in enumerate(("held_out_psnr_db", "held_out_ssim")):
+        if quality is None:
+            missing[name] = "no held-out scores of the street"
+        else:
+            values[name] = quality[i]

@@ -1,0 +1,348 @@
+"""The artefacts of one log under one configuration, each made when it is first asked for."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from rich.console import Console
+
+from recast.actors import Actor, insert, load_actor
+from recast.cameras import CameraMount
+from recast.core import Artefact, Store
+from recast.core.artefact import value_hash
+from recast.core.progress import ProgressBar
+from recast.planning import Planner, looked_at, make_planner
+from recast.runs.actor import ActorMakers
+from recast.runs.arms import OWN_STREET, PRESETS, Arm, truth_of
+from recast.runs.config import RunConfig
+from recast.runs.layout import ACTOR_FOLDER, rollout_name, use_name
+from recast.runs.making import (
+    Maker,
+    VehicleParts,
+    compare_vehicle,
+    film_vehicle,
+    refine_vehicle,
+    register_vehicle,
+    score_street,
+    take_street,
+    train_street,
+)
+from recast.runs.planner_cameras import run_mounts
+from recast.runs.renderers import Renderers
+from recast.runs.rollouts import make_rollout, rollout_setup
+from recast.runs.sources import RECIPES, SourceLog, Sources
+from recast.scene import SceneConfig, StreetScene, load_scene
+from recast.scene.dynamic import modelled_tracks
+from recast.simulation import (
+    PlannerProcess,
+    RolloutSetup,
+    Timings,
+    further_actors,
+    replaced_tracks,
+    scenario_record,
+)
+
+
+class Artefacts:
+    """What a run needs, found in its store or made; close it.
+
+    Args:
+        sources: see `Sources.of`; taken before any planner or generator was loaded.
+        scene: name of the scene, for generators that have a file for each.
+        oracle_workers: processes of an oracle, see `OracleRenderer`.
+
+    Attributes:
+        used: artefacts by use, such as "scene/recast" or "rollout/cut-in-a/idm-follower/native".
+        on_use: function that is called after each artefact that joins them.
+    """
+
+    def __init__(
+        self,
+        store: Store,
+        source: SourceLog,
+        config: RunConfig,
+        sources: Sources,
+        console: Console,
+        scene: str,
+        oracle_workers: int = 0,
+    ) -> None:
+        self.store, self.source, self.config = store, source, config
+        self.sources, self.console = sources, console
+        self.maker = Maker(store, console)
+        self.arms = {arm.name: config.arm(arm.name).of_scene(scene) for arm in config.arms}
+        self.used: dict[str, Artefact] = {}
+        self.on_use: Callable[[], None] = lambda: None
+        self.possible_steps: dict[str, int] = {}
+        self._makers: dict[tuple[str, str, str], ActorMakers] = {}
+        self._planners: dict[str, Planner] = {}
+        self._configs: dict[str, SceneConfig] = {}
+        self.renderers = Renderers(
+            self._street, self._actor, lambda: source.world, oracle_workers, config.restorer
+        )
+
+    def planner(self, name: str) -> Planner:
+        """A planner, loaded once."""
+        if name not in self._planners:
+            made = partial(make_planner, name, self.config.planner_device)
+            planner = made()
+            if self.config.plan_limit_s is not None:
+                planner = PlannerProcess(planner, made)
+            self._planners[name] = planner
+        return self._planners[name]
+
+    def mounts(self, planner: str) -> dict[str, CameraMount]:
+        """The cameras that are rendered for a planner and for films; without films, of each only
+        what the planner looks at."""
+        looking = self.planner(planner)
+        mounts = run_mounts(self.source.log, looking, self.config)
+        return mounts if self.config.films else looked_at(looking, mounts)
+
+    def makers(self, arm: Arm) -> ActorMakers:
+        """What makes an arm's vehicles, its networks in memory from now on.
+
+        Raises:
+            InputError: generator or segmenter is unknown, or cannot be loaded.
+        """
+        key = (str(arm.generator), str(arm.segmenter), str(arm.axes))
+        if key not in self._makers:
+            self._makers[key] = ActorMakers.named(*key)
+        return self._makers[key]
+
+    def forget_makers(self) -> None:
+        """Let go of the networks of generators and segmenters."""
+        self._makers.clear()
+
+    def looks(self, planner: str) -> bool:
+        """Whether anything is rendered for the rollouts of a planner."""
+        return self.config.films or self.planner(planner).needs_images
+
+    def prepare(self, arm: Arm, further: bool = True) -> None:
+        """Make the street and the vehicles of an arm, as far as anything is rendered.
+
+        Args:
+            further: also what only a report shows: turntable, and comparison with the truth.
+        """
+        config = self.config
+        made = arm.reconstructs or arm.generates
+        if not made or not any(self.looks(planner) for planner in config.planners):
+            return
+        self.scene(arm)
+        self.evaluation(arm)
+        if not arm.generates:
+            return
+        tracks = [track for motion in config.motions for track in self.replaced_tracks(motion)]
+        for track in dict.fromkeys(tracks):
+            self.actor(arm, track)
+        if further:
+            self.turntable(arm, config.track)
+            if truth_of(config.arms) is not None:
+                self.truth(arm)
+
+    def scene(self, arm: Arm) -> Artefact:
+        """The reconstruction of an arm's street, or the one that its vehicle is made in."""
+        folder = self._folder_of(arm)
+        if folder is not None:
+            return self._used(
+                use_name("scene", arm.made_in), lambda: take_street(self.maker, folder)
+            )
+        config = self.street_config(arm)
+        return self._used(
+            use_name("scene", arm.made_in),
+            lambda: train_street(self.maker, self.source, config, arm.made_in),
+        )
+
+    def street_config(self, arm: Arm) -> SceneConfig:
+        """The scene settings of an arm's reconstruction; they force controlled tracks that would be
+        background."""
+        if arm.made_in not in self._configs:
+            config = self.config.street(arm.made_in)
+            if self._folder_of(arm) is None:
+                modelled = modelled_tracks(self.source.log, config)
+                missing = (track for track in self._controlled() if track not in modelled)
+                forced = (*config.force_dynamic, *missing)
+                config = config.model_copy(update={"force_dynamic": forced})
+            self._configs[arm.made_in] = config
+        return self._configs[arm.made_in]
+
+    def evaluation(self, arm: Arm) -> Artefact | None:
+        """Held-out scores of an arm's reconstruction; None where no image was held out."""
+        config = self.street_config(arm)
+        if config.holdout_every == 0:
+            return None
+        return self._used(
+            use_name("evaluation", arm.made_in),
+            lambda: score_street(self.maker, self.source, self.scene(arm), config),
+        )
+
+    def registered(self, arm: Arm, track: str) -> Artefact:
+        """A generated vehicle, registered to the log's boxes and LiDAR, with its evidence."""
+        parts = VehicleParts(
+            name=str(arm.generator),
+            generator=self.sources.generators[str(arm.generator)],
+            segmenter=self.sources.segmenters[str(arm.segmenter)],
+            axes=str(arm.axes),
+            views=arm.views or 1,
+            makers=lambda: self.makers(arm),
+        )
+        return self._used(
+            self._of_track("registered", arm, track),
+            lambda: register_vehicle(
+                self.maker, self.source, track, parts, self.config.seed, self.street_config(arm)
+            ),
+        )
+
+    def actor(self, arm: Arm, track: str) -> Artefact:
+        """The vehicle that an arm inserts: refined against its street, unless that is off."""
+        use, registered = self._of_track("actor", arm, track), self.registered(arm, track)
+        if not arm.refine:
+            return self._used(use, lambda: registered)
+        scene = self.scene(arm)
+        return self._used(
+            use, lambda: refine_vehicle(self.maker, registered, scene, self.config.seed)
+        )
+
+    def turntable(self, arm: Arm, track: str) -> Artefact:
+        """A film of an arm's vehicle turning once."""
+        return self._used(
+            self._of_track("turntable", arm, track),
+            lambda: film_vehicle(self.maker, self.actor(arm, track)),
+        )
+
+    def truth(self, arm: Arm) -> Artefact:
+        """An arm's vehicle, and its street's own, against the truth in views beyond the log."""
+        actor, scene = self.actor(arm, self.config.track), self.scene(arm)
+        return self._used(
+            use_name("truth", arm.name),
+            lambda: compare_vehicle(
+                self.maker, self.source, actor, scene, self.street_config(arm), self.config.seed
+            ),
+        )
+
+    def images_of(self, arm: Arm) -> dict[str, Any]:
+        """What keys of an arm's images need beside its vehicles."""
+        given = arm.inputs()
+        if self.config.restorer is not None and arm.restorable:
+            given["restorer"] = self.sources.restorers[self.config.restorer]
+        if arm.reconstructs:
+            return {"street": self.scene(arm).reference, **given}
+        light = {"lit_by": self.scene(arm).reference} if arm.generates else {}
+        return {"street": "truth", **light, **given}
+
+    def replaced_tracks(self, motion: str) -> tuple[str, ...]:
+        """The target, and further actors of a scenario whose vehicles are to be replaced too."""
+        further = replaced_tracks(self.config.motion(motion))
+        return tuple(dict.fromkeys((self.config.track, *further)))
+
+    def rollout(
+        self, motion: str, planner: str, arm: Arm, timings: Timings | None = None
+    ) -> Artefact:
+        """One rollout.
+
+        Args:
+            timings: timings that those of the rollout are added to, if it is made now.
+        """
+        config, looks = self.config, self.looks(planner)
+        tracks = self.replaced_tracks(motion)
+        inputs: dict[str, Any] = {
+            "log": self.source.hash,
+            "track": config.track,
+            "scenario": scenario_record(config.motion(motion)),
+            "arm": arm.name,
+            "planner": self.sources.planners[planner],
+            "planner_device": config.planner_device,
+            "steps": config.steps,
+            "plan_every": config.plan_every,
+            "keep_other_actors": config.keep_other_actors,
+            "plan_limit_s": config.plan_limit_s,
+            "films": config.films,
+            "cameras": list(config.scene.cameras),
+            "scale": config.scene.scale,
+            "street": None,
+            "actors": {},
+            "recipe": RECIPES["rollout"],
+        }
+        if arm.start_left:
+            inputs["start_left"] = arm.start_left
+        if looks:
+            inputs |= self.images_of(arm)
+            if arm.generates:
+                inputs["actors"] = {track: self.actor(arm, track).reference for track in tracks}
+        setup = replace(self.setup(motion, arm), plan_limit_s=config.plan_limit_s)
+
+        def make(out: Path) -> None:
+            renderer = meter = None
+            if looks:
+                mounts = self.mounts(planner)
+                renderer = self.renderers.of(arm, tracks, planner, mounts)
+                meter = self.renderers.meter(arm, tracks)
+            steps = self.possible_steps.get(motion, config.steps)
+            with ProgressBar("steps", self.console, steps) as progress:
+                make_rollout(
+                    setup,
+                    self.planner(planner),
+                    renderer,
+                    out,
+                    progress.advance,
+                    config.films,
+                    timings,
+                    meter,
+                )
+
+        title = f"rollout {motion}, {planner}, {arm.name}"
+        return self._used(
+            rollout_name(motion, planner, arm.name),
+            lambda: self.maker.make(
+                title, "rollouts", inputs, make, f"{title}, {self.source.log.name}"
+            ),
+        )
+
+    def setup(self, motion: str, arm: Arm) -> RolloutSetup:
+        """What a rollout of an arm is run with."""
+        scripted = self.config.motion(motion)
+        log, hdmap, left = self.source.log, self.source.map, arm.start_left
+        setup = rollout_setup(log, hdmap, self.config, scripted, arm.name, left)
+        # The same for all arms and planners, and with films: they differ by nothing else.
+        drive = (self.source.hash, self.config.track, scenario_record(scripted))
+        return replace(setup, seed=int(value_hash(drive)[:8], 16))
+
+    def close(self) -> None:
+        """Let go of the renderers, and end the planners' processes."""
+        self.renderers.close()
+        for planner in self._planners.values():
+            if isinstance(planner, PlannerProcess):
+                planner.close()
+
+    def _folder_of(self, arm: Arm) -> Path | None:
+        """The folder of an arm's reconstruction, where that is not trained by this run."""
+        if arm.made_in == OWN_STREET:
+            return None if self.config.scene_folder is None else Path(self.config.scene_folder)
+        return None if arm.made_in in PRESETS else Path(arm.made_in)
+
+    def _controlled(self) -> tuple[str, ...]:
+        """All tracks that some scenario controls, the target first."""
+        motions = [self.config.motion(name) for name in self.config.motions]
+        further = [actor.track_id for motion in motions for actor in further_actors(motion)]
+        return tuple(dict.fromkeys((self.config.track, *further)))
+
+    def _of_track(self, what: str, arm: Arm, track: str) -> str:
+        further = () if track == self.config.track else (track,)
+        return use_name(what, arm.name, *further)
+
+    def _used(self, use: str, make: Callable[[], Artefact]) -> Artefact:
+        if use not in self.used:
+            self.used[use] = make()
+            self.on_use()
+        return self.used[use]
+
+    def _street(self, arm: Arm, tracks: tuple[str, ...]) -> StreetScene:
+        street = load_scene(self.scene(arm).path)
+        for track in tracks if arm.generates else ():
+            street = insert(street, self._actor(arm, track), relit=arm.relit is not False)
+        return street
+
+    def _actor(self, arm: Arm, track: str) -> Actor:
+        return load_actor(self.actor(arm, track).path / ACTOR_FOLDER)

@@ -1,0 +1,318 @@
+"""Gather what runs made into the inputs of a report, or of the page that compares them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import product
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+from recast.actors import load_actor
+from recast.core import Artefact, Store
+from recast.core.errors import InputError
+from recast.logs import DrivingLog, HdMap, map_of, read_log
+from recast.metrics import RolloutMetrics
+from recast.reporting import (
+    NOT_MADE,
+    ActorPart,
+    ComparedRun,
+    Fact,
+    NotMade,
+    ProvenancePart,
+    ReportInputs,
+    RolloutPart,
+    ScenarioPart,
+    ScenePart,
+    ShowcasePart,
+    TruthPart,
+    truth_parts,
+    write_comparison,
+    write_report,
+)
+from recast.reporting.page import check_out
+from recast.runs.arms import Arm, truth_of
+from recast.runs.config import RunConfig
+from recast.runs.layout import (
+    ACTOR_FOLDER,
+    OBSERVATION_FOLDER,
+    REPLAY_FILE,
+    REPORT_FOLDER,
+    TURNTABLE_FILE,
+    VIEWS_FOLDER,
+    use_name,
+)
+from recast.runs.report_parts import actor_part, facts, headings, scene_part, warnings
+from recast.runs.rollouts import draw_films, films
+from recast.runs.run_folder import RUN_FILE, RunFolder
+from recast.runs.scored_rollouts import ScoredRollout, scored_rollouts
+from recast.runs.trust import RunTrust, trust_of_process
+from recast.simulation import Rollout, RolloutFailure
+
+
+def report_run(run: str | Path, out: str | Path | None = None) -> Path:
+    """Write the report of a run, finished or not; return its `index.html`.
+
+    Args:
+        out: folder to write; RUN/report where none is named.
+
+    Raises:
+        InputError: `run` is no run folder, its log or an artefact is gone, or `out` holds something
+            else.
+    """
+    gathered = open_run(run)
+    folder = gathered.folder.path
+    return write_report(gathered.inputs(), folder / REPORT_FOLDER if out is None else Path(out))
+
+
+def open_run(run: str | Path) -> GatheredRun:
+    """A run folder with its log and its store.
+
+    Raises:
+        InputError: `run` is no run folder, or its log is gone.
+    """
+    folder = RunFolder.open(run)
+    log_path = folder.log_path
+    if not log_path.is_dir():
+        raise InputError(
+            folder.path / RUN_FILE,
+            "log.path",
+            f"names {log_path}, which is not there",
+            "put the log back, or move the run to where it was",
+        )
+    log = read_log(log_path)
+    _check_log(folder.config, log, folder.path / RUN_FILE)
+    return GatheredRun(folder, folder.store(), log, folder.config)
+
+
+def report_rollout(rollout: Rollout, metrics: RolloutMetrics, out: Path) -> Path:
+    """Write the page of one rollout; return its `index.html`.
+
+    Args:
+        rollout: one that was run in this process has films, which are drawn now.
+
+    Raises:
+        InputError: `out` holds something else, or the disk refuses.
+    """
+    with TemporaryDirectory(prefix="recast-") as folder:
+        found = NOT_MADE if rollout.origin is None else draw_films(rollout, Path(folder))
+        trust = trust_of_process(rollout, metrics)
+        part = RolloutPart(rollout.arm, rollout, metrics, found, trust=trust)
+        title = f"{rollout.motion}, setting {rollout.setting}".capitalize()
+        facts = (
+            Fact("Planner", rollout.planner),
+            Fact("Length", f"{rollout.steps_run * rollout.dt:g} s", rollout.cut_reason or ""),
+        )
+        inputs = ReportInputs(
+            title=f"{rollout.name} by {rollout.planner}",
+            log="a log" if rollout.origin is None else rollout.origin.setup.log.name,
+            arms={rollout.arm: rollout.arm},
+            facts=facts,
+            scenarios=(ScenarioPart(title, "", (part,)),),
+            hd_map=NOT_MADE if rollout.origin is None else rollout.origin.setup.hdmap or NOT_MADE,
+        )
+        return write_report(inputs, out)
+
+
+def _check_log(config: RunConfig, log: DrivingLog, record: Path) -> None:
+    """Refuse a log that took the place of the one that was run on."""
+    wanted = {"track": ((config.track,), log.tracks), "camera": (config.scene.cameras, log.cameras)}
+    for kind, (names, there) in wanted.items():
+        for name in names:
+            if name not in there:
+                raise InputError(
+                    record,
+                    "log.path",
+                    f"names a log without {kind} {name}",
+                    "put the log back that was run on",
+                )
+
+
+@dataclass(frozen=True)
+class GatheredRun:
+    """A run with all that a page shows; what it did not make yet says so."""
+
+    folder: RunFolder
+    store: Store
+    log: DrivingLog
+    config: RunConfig
+
+    @cached_property
+    def map(self) -> HdMap:
+        """Lanes and drivable area that the rollouts are judged by."""
+        return map_of(self.log)
+
+    @cached_property
+    def trust(self) -> RunTrust:
+        """Judges its rollouts."""
+        return RunTrust(self.log, self.config.track)
+
+    @property
+    def arms(self) -> dict[str, str]:
+        """Arm to its name for people."""
+        return {arm.name: arm.label for arm in self.config.arms}
+
+    def inputs(self) -> ReportInputs:
+        """Everything that the report shows."""
+        config, record = self.config, self.folder.record
+        arms, truth = self.arms, truth_of(config.arms)
+        shown = next((arm for arm in config.arms if arm.generates), None)
+        street = next((arm for arm in config.arms if not arm.is_truth), None)
+        showcase, views = self._truth(shown, arms, truth)
+        return ReportInputs(
+            title=f"{self.log.tracks[config.track].category} {config.track} of {self.log.name}",
+            log=self.log.name,
+            arms=arms,
+            truth_arm=truth,
+            showcase=showcase,
+            truth=views,
+            facts=facts(config, self.log),
+            actor=NOT_MADE if shown is None else self._actor(shown),
+            scenarios=tuple(
+                self.scenario(*names) for names in product(config.motions, config.planners)
+            ),
+            scene=NOT_MADE if street is None else self._scene(street),
+            hd_map=self.map,
+            config=record.config,
+            provenance=ProvenancePart(
+                versions=record.versions,
+                seeds={"run": config.seed, "scene": config.scene.seed},
+                hashes={"log": record.log.hash, **record.artefacts},
+            ),
+            timings=self._timings() or NOT_MADE,
+            warnings=warnings(self.map),
+            replay=self._replay(),
+            camera_headings=headings(self.log),
+        )
+
+    def _replay(self) -> Path | NotMade:
+        path = self.folder.path / REPLAY_FILE
+        return path if path.is_file() else NotMade("recast run writes it if viser is installed")
+
+    def _find(self, use: str) -> Artefact | None:
+        return self.folder.artefact(self.store, use)
+
+    def _timings(self) -> dict[str, float]:
+        """Seconds that each artefact of the run took, whichever run made it."""
+        found = {use: self._find(use) for use in self.folder.record.artefacts}
+        return {use: one.record.seconds for use, one in found.items() if one is not None}
+
+    def _truth(
+        self, arm: Arm | None, arms: Mapping[str, str], truth: str | None
+    ) -> tuple[ShowcasePart | NotMade, TruthPart | NotMade]:
+        found = None if arm is None else self._find(use_name("truth", arm.name))
+        if found is None or truth is None or arm is None:
+            return NOT_MADE, NOT_MADE
+        own = next((a.name for a in self.config.arms if a.street == arm.street and a != arm), None)
+        return truth_parts(
+            found.path / VIEWS_FOLDER, arms, baseline=own, candidate=arm.name, truth=truth
+        )
+
+    def _actor(self, arm: Arm) -> ActorPart | NotMade:
+        final, registered, turntable = (
+            self._find(use_name(what, arm.name)) for what in ("actor", "registered", "turntable")
+        )
+        if final is None or registered is None:
+            return NOT_MADE
+        return actor_part(
+            load_actor(final.path / ACTOR_FOLDER),
+            registered.path / OBSERVATION_FOLDER / "frame.png",
+            None if turntable is None else turntable.path / TURNTABLE_FILE,
+            self.log,
+        )
+
+    def rollouts(self) -> Iterator[ScoredRollout]:
+        """Those that were made and did not fail."""
+        for motion, planner in product(self.config.motions, self.config.planners):
+            for one in self._scored(motion, planner).values():
+                if isinstance(one, ScoredRollout):
+                    yield one
+
+    def _scored(self, motion: str, planner: str) -> dict[str, ScoredRollout | RolloutFailure]:
+        return scored_rollouts(motion, planner, self.config.arms, self._find, self.map)
+
+    def scenario(self, name: str, planner: str) -> ScenarioPart:
+        """The rollouts of a motion under each arm."""
+        motion = self.config.motion(name)
+        title = f"{motion.name}, setting {motion.setting}".capitalize()
+        if len(self.config.planners) > 1:
+            title += f", {planner}"
+        arms, scored = self.config.arms, self._scored(name, planner)
+        return ScenarioPart(
+            title=title,
+            description=motion.description,
+            rollouts=tuple(self._rollout(arm, scored.get(arm.name)) for arm in arms),
+        )
+
+    def _rollout(self, arm: Arm, found: ScoredRollout | RolloutFailure | None) -> RolloutPart:
+        if found is None:
+            return RolloutPart(arm.name, NOT_MADE)
+        if isinstance(found, RolloutFailure):
+            return RolloutPart(arm.name, found, NotMade(found.reason), NotMade(found.reason))
+        metrics, shown = found.metrics, films(found.folder)
+        trust = self.trust.of(found)
+        return RolloutPart(arm.name, metrics.rollout, metrics, shown, found.coverage, trust)
+
+    def _scene(self, arm: Arm) -> ScenePart | NotMade:
+        scene, scores = (self._find(use_name(what, arm.street)) for what in ("scene", "evaluation"))
+        if scores is None or scene is None:
+            return NotMade("no image was held out") if scene is not None else NOT_MADE
+        return scene_part(scores.path / "eval.json", scene.path)
+
+
+def compare_runs(runs: Sequence[str | Path], out: str | Path) -> Path:
+    """Write a page that compares runs, the others with the first; return its `index.html`.
+
+    The runs may be of different logs, and unfinished.
+
+    Raises:
+        InputError: fewer than two runs, a folder that is no run or is named twice, a log or an
+            artefact that is gone, or `out` holds something else.
+    """
+    folders = [Path(run) for run in runs]
+    if len(folders) < 2:
+        raise InputError(
+            "`compare`", "runs", f"{len(folders)} given", "name two run folders or more"
+        )
+    places = [folder.resolve() for folder in folders]
+    for folder, place in zip(folders, places, strict=True):
+        if places.count(place) > 1:
+            raise InputError(folder, "run", "is named twice", "name each run once")
+    check_out(Path(out))
+    opened = [open_run(folder) for folder in folders]
+    names = _names(places)
+    return write_comparison([_compared(*one) for one in zip(names, opened, strict=True)], out)
+
+
+def _names(places: Sequence[Path]) -> list[str]:
+    """Names of the folders, with as many of their parents as it takes to tell them apart."""
+    for parts in range(1, max(len(place.parts) for place in places)):
+        names = ["/".join(place.parts[-parts:]) for place in places]
+        if len(set(names)) == len(names):
+            return names
+    return [str(place) for place in places]
+
+
+def _compared(name: str, run: GatheredRun) -> ComparedRun:
+    record, config = run.folder.record, run.config
+    return ComparedRun(
+        name=name,
+        log=run.log.name,
+        log_hash=record.log.hash,
+        target=config.track,
+        arms=run.arms,
+        scenarios={
+            (config.motion(motion).name, config.motion(motion).setting, planner): run.scenario(
+                motion, planner
+            )
+            for motion, planner in product(config.motions, config.planners)
+        },
+        settings={
+            **config.resolved(),
+            "log": {"name": run.log.name, "hash": record.log.hash},
+            "versions": record.versions,
+        },
+        hd_map=run.map,
+        camera_headings=headings(run.log),
+    )

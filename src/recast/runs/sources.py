@@ -1,0 +1,258 @@
+"""What a run is made from: its log, the recipes and parts of its steps, for keys of artefacts."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+from importlib.metadata import entry_points
+from pathlib import Path
+from typing import Self
+
+from rich.console import Console
+
+from recast.actors import DEFAULT_GENERATOR, GENERATORS, SEGMENTERS
+from recast.actors.library import LIBRARY
+from recast.actors.vehicle_files import files_of_vehicle, is_vehicle_file
+from recast.core.artefact import file_hash, files_hash, folder_hash
+from recast.core.errors import InputError
+from recast.core.plugins import RESTORERS, Registry
+from recast.core.progress import ProgressBar
+from recast.core.remote import remote_path
+from recast.logs import DrivingLog, HdMap, map_of, read_log
+from recast.logs.load import local_folder
+from recast.planning import ALPASIM_PREFIX, PLANNERS, planner_folder, planner_source_files
+from recast.pretrained import VQA_SCORERS
+from recast.runs.config import RunConfig
+from recast.synthetic import CAMERAS, World, synthesize_log, world_metadata, world_of
+from recast.synthetic.rendering import require_embree
+from recast.trellis import RECAST_MINI, recast_mini
+
+RECIPES = {
+    "log": 2,
+    "actor": 8,
+    "refine": 4,
+    "turntable": 1,
+    "scene": 4,
+    "evaluation": 3,
+    "truth": 4,
+    "rollout": 6,
+    "scene-level": 3,
+    "metrics": 6,
+    "report": 6,
+}
+"""Version of what recast's own code makes of the inputs of a step.
+
+Raise a step's number in the commit that changes what the step writes for the same inputs: it is
+then another artefact, and so is all that follows from it.
+"""
+
+
+@dataclass(frozen=True)
+class SourceLog:
+    """A log folder, opened.
+
+    Attributes:
+        address: address of the log, if that is another place than the folder, which holds a copy.
+        hash: hash of all bytes of the folder.
+    """
+
+    path: Path
+    log: DrivingLog
+    hash: str
+    address: str | None = None
+
+    @classmethod
+    def open(cls, place: str | Path) -> SourceLog:
+        """Read a log folder, here or in object storage; InputError: see `load_log`."""
+        path = local_folder(place)
+        remote = remote_path(place) is not None
+        return cls(path, read_log(path), folder_hash(path), str(place) if remote else None)
+
+    @cached_property
+    def map(self) -> HdMap:
+        """The log's map, or one derived from the drive."""
+        return map_of(self.log)
+
+    @cached_property
+    def world(self) -> World:
+        """What a synthetic log was made from.
+
+        Raises:
+            InputError: it is a recorded log, or no ray tracer is installed.
+        """
+        require_embree()
+        return world_of(self.log)
+
+    def require(self, track: str) -> None:
+        """Refuse a track that the log lacks.
+
+        Raises:
+            InputError: lists those that it has.
+        """
+        if track not in self.log.tracks:
+            raise InputError(
+                self.path,
+                f"track {track}",
+                "is not in the log",
+                f"choose one of {', '.join(self.log.tracks)}",
+            )
+
+
+def drive_log(
+    world: World,
+    path: Path,
+    image_size: tuple[int, int],
+    cameras: tuple[str, ...],
+    workers: int,
+    console: Console,
+    every: int = 1,
+) -> Path:
+    """The log of `world` at `path`, its images of width and height pixels.
+
+    Args:
+        cameras: names of the cameras that are recorded; none named: all of the rig.
+        every: see `synthesize_log`.
+
+    Raises:
+        InputError: another log lies there, or see `synthesize_log`.
+    """
+    console.print(f"[bold]log[/bold] {world.name}, {world.seconds:g} s", highlight=False)
+    names = cameras or CAMERAS
+    if path.exists():
+        _check_same(read_log(path), world, image_size, names, path)
+        console.print("  finished before")
+        return path
+    width, height = image_size
+    with ProgressBar("images", console, round(world.seconds * 10 / every) * len(names)) as progress:
+        synthesize_log(
+            world,
+            path,
+            width=width,
+            height=height,
+            cameras=names,
+            workers=workers,
+            every=every,
+            progress=progress,
+        )
+    return path
+
+
+def _check_same(
+    log: DrivingLog, world: World, image_size: tuple[int, int], names: tuple[str, ...], path: Path
+) -> None:
+    shape = {name: (c.camera.width, c.camera.height) for name, c in log.cameras.items()}
+    wanted = world_metadata(world)
+    same = {name: log.metadata.get(name) for name in wanted} == wanted
+    if not same or shape != dict.fromkeys(names, image_size):
+        raise InputError(
+            path, "log", "is that of another drive", "name another `out`, or remove this one"
+        )
+
+
+@dataclass(frozen=True)
+class Sources:
+    """What stands for the exchangeable parts of a run in keys.
+
+    A built-in part is its name, since `RECIPES` count its changes; a file or a folder is its
+    content; other code is its name with the content of its files.
+    """
+
+    planners: Mapping[str, str]
+    generators: Mapping[str, str]
+    segmenters: Mapping[str, str]
+    restorers: Mapping[str, str] = field(default_factory=dict)
+
+    @classmethod
+    def of(cls, config: RunConfig, scene: str, known: Sources | None = None) -> Self:
+        """Those of a configuration, by name; call it before anything of them is loaded.
+
+        So a part that is edited meanwhile counts as the older one, and is used again next time.
+
+        Args:
+            scene: name of the scene, for generators that have a file for each.
+            known: sources of another scene of the same process; the parts among them may be loaded.
+
+        Raises:
+            InputError: a name is unknown.
+        """
+        known = known or Sources({}, {}, {})
+        arms = [config.arm(arm.name).of_scene(scene) for arm in config.arms]
+        generated = [arm for arm in arms if arm.generates]
+        restorers = () if config.restorer is None else (config.restorer,)
+        return cls(
+            _each(config.planners, planner_source, known.planners),
+            _each([str(arm.generator) for arm in generated], generator_source, known.generators),
+            _each([str(arm.segmenter) for arm in generated], segmenter_source, known.segmenters),
+            _each(restorers, restorer_source, known.restorers),
+        )
+
+
+def _each(
+    names: Iterable[str], source: Callable[[str], str], known: Mapping[str, str]
+) -> dict[str, str]:
+    return {name: known[name] if name in known else source(name) for name in names}
+
+
+def planner_source(name: str) -> str:
+    """What stands for a planner; see `Sources`. A driver of AlpaSim must be there.
+
+    Raises:
+        InputError: the name is unknown, or the driver does not answer.
+    """
+    folder = planner_folder(name)
+    if folder is not None:
+        return folder_hash(folder)
+    if name.startswith(ALPASIM_PREFIX):
+        from recast.protocols.alpasim.driver import driver_planner
+
+        return f"{name} {driver_planner(name.removeprefix(ALPASIM_PREFIX)).version}"
+    return _code(PLANNERS, name, planner_source_files(name))
+
+
+def generator_source(name: str) -> str:
+    """What stands for a generator; see `Sources`. Vehicles' files must be there."""
+    if name.startswith(LIBRARY):
+        return folder_hash(name.removeprefix(LIBRARY))
+    if is_vehicle_file(name):
+        first, *others = files_of_vehicle(Path(name))
+        return files_hash([first, *others], first.parent) if others else file_hash(first)
+    if name == RECAST_MINI:
+        return folder_hash(recast_mini())
+    if name == DEFAULT_GENERATOR:  # offers the template and that model
+        return f"{name} {folder_hash(recast_mini())}"
+    return _part(GENERATORS, name)
+
+
+def segmenter_source(name: str) -> str:
+    """What stands for a segmenter; see `Sources`."""
+    return _part(SEGMENTERS, name)
+
+
+def restorer_source(name: str) -> str:
+    """What stands for a restorer; see `Sources`. Of another program only its address is known."""
+    return name if name.startswith(tuple(RESTORERS.prefixes)) else _part(RESTORERS, name)
+
+
+def vqa_source(name: str) -> str:
+    """What stands for a VQA scorer; see `Sources`."""
+    return name if name.startswith(tuple(VQA_SCORERS.prefixes)) else _part(VQA_SCORERS, name)
+
+
+def _part(registry: Registry, name: str) -> str:
+    folder = registry.place(name)
+    if folder is not None:
+        return folder_hash(folder)
+    return _code(registry, name, registry.source_files(name))
+
+
+def _code(registry: Registry, name: str, files: tuple[Path, ...]) -> str:
+    if not files:
+        return name
+    # Names below the folder that all share: the same code elsewhere is the same code.
+    root = Path(os.path.commonpath([file.parent for file in files]))
+    plugins = entry_points(group=registry.group)
+    package = plugins[name].dist if name in plugins.names else None
+    # Its data files are not looked at, so the version stands for them.
+    return " ".join([name, *([package.version] if package else []), files_hash(files, root)])

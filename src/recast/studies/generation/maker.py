@@ -1,0 +1,266 @@
+"""The vehicles of a generation study: each made by one model from one picture, by a pool."""
+
+from __future__ import annotations
+
+import time
+import zlib
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from recast.actors import ActorGenerator, Observation, make_generator
+from recast.actors.generate import generated
+from recast.actors.observe import observation_of_view
+from recast.arrays import Image
+from recast.core.errors import InputError
+from recast.core.ray_cluster import worker_pool
+from recast.core.workers import in_this_process
+from recast.metrics.actor_scores import Cutout, drawn, framed, photographed, score_view
+from recast.metrics.cases import ActorCase, ActorView, elevation_deg
+from recast.metrics.features import Embedder, load_embedders
+from recast.metrics.perceptual import ImageDistance, load_distances
+from recast.recar.perturb import PerturbationConfig, perturb
+from recast.studies.generation.cell import Cell, Features, Placement, place, write_cell
+from recast.studies.generation.rows import VIEWS, StudyModel, read_views, vehicle_file
+from recast.studies.sheets import strip, tile, tile_window
+
+_PERTURBATIONS = 1  # the stream of random numbers of what befalls an input, by seed and vehicle
+
+
+@dataclass(frozen=True)
+class Measures:
+    """Weights that scores need; a score is left out where they are not given.
+
+    Attributes:
+        lpips: AlexNet or VGG-16 as torchvision saves them.
+        clip, dino: folders of a CLIP and of a DINOv2 model.
+        inception: the FID's network, or torchvision's Inception v3.
+    """
+
+    lpips: Path | None = None
+    clip: Path | None = None
+    dino: Path | None = None
+    inception: Path | None = None
+
+
+@dataclass(frozen=True)
+class CellTask:
+    """What is to be made of one vehicle.
+
+    Attributes:
+        key, folder: key and folder of the cell, see `Cell`.
+        model: what makes it; None for the photographs.
+        perturbed: what the input is put through; None for a clean one. Of the photographs' task:
+            with what the perturbed input is shown.
+    """
+
+    case: ActorCase
+    key: str
+    folder: Path
+    model: StudyModel | None
+    perturbed: PerturbationConfig | None
+
+
+class CellMaker:
+    """Makes cells, one after the other; the model last used stays loaded.
+
+    Args:
+        measures: weights of the networks that views are scored by.
+        seed: seed of the models and of the perturbations.
+        placement: see `recast.studies.generation.cell`.
+
+    Raises:
+        InputError: weights that cannot be read.
+    """
+
+    def __init__(self, measures: Measures, seed: int, placement: Placement) -> None:
+        self._distances: Sequence[ImageDistance] = load_distances(lpips=measures.lpips)
+        self._embedders: Sequence[Embedder] = load_embedders(
+            measures.clip, measures.dino, measures.inception
+        )
+        self._seed = seed
+        self._placement = placement
+        self._model: tuple[StudyModel, ActorGenerator] | None = None
+
+    def __call__(self, task: CellTask) -> dict[str, float]:
+        """Make and write a cell; gives the seconds it took, by what was done.
+
+        Raises:
+            InputError: the model cannot be loaded, a picture of the set is broken, the disk is
+                full. That a model fails on a vehicle is no error: the cell says so.
+        """
+        if task.model is None:
+            return self._photographs(task)
+        if task.model.source.startswith(VIEWS):
+            return self._pictured(task, task.model)
+        if task.model.folder is None:
+            self._generator(task.model)  # whose errors end the study
+        return self._generated(task, task.model)
+
+    def _generator(self, model: StudyModel, vehicle: str = "") -> ActorGenerator:
+        if model.folder is not None:
+            return make_generator(vehicle_file(model.folder, vehicle), model.axes)
+        if self._model is None or self._model[0] != model:
+            self._model = None  # first let go of the other one
+            self._model = (model, make_generator(model.source, model.axes))
+        return self._model[1]
+
+    def _photographs(self, task: CellTask) -> dict[str, float]:
+        start = time.perf_counter()
+        case = task.case
+        clean = photographed(case.inputs[0].load())
+        window = tile_window(clean.mask)
+        pictures = {"input": tile(clean, window)}
+        applied: list[dict[str, Any]] = []
+        if task.perturbed is not None:
+            rgba, applied = perturbed_input(case, self._seed, task.perturbed)
+            pictures["perturbed"] = tile(photographed(rgba), window)
+        truths = [photographed(view.load()) for view in case.targets]
+        pictures["strip"] = _strip(truths, truths)
+        facts = {
+            "input": case.inputs[0].name,
+            "input_azimuth_deg": case.inputs[0].azimuth_deg,
+            "azimuths_deg": [view.azimuth_deg for view in case.targets],
+            "elevations_deg": [elevation_deg(view) for view in case.targets],
+            "perturbations": applied,
+        }
+        features = self._features(truths, truths)
+        views = tuple(view.name for view in case.targets)
+        write_cell(task.folder, Cell(task.key, case.id, facts, views, features=features), pictures)
+        return {"measure": time.perf_counter() - start}
+
+    def _pictured(self, task: CellTask, model: StudyModel) -> dict[str, float]:
+        """Of pictures that were drawn elsewhere: neither made nor placed here."""
+        assert model.folder is not None
+        start = time.perf_counter()
+        try:
+            shown = [photographed(rgba) for rgba in read_views(model.folder, task.case)]
+        except InputError as error:
+            return self._failed(task, error, start)
+        facts = {"details": {"pictures": model.folder.name}, "placement": {"by": "pictures"}}
+        self._write(task, facts, shown)
+        return {"measure": time.perf_counter() - start}
+
+    def _failed(self, task: CellTask, error: InputError, start: float) -> dict[str, float]:
+        write_cell(task.folder, Cell(task.key, task.case.id, {}, failure=str(error)), {})
+        return {"generate": time.perf_counter() - start}
+
+    def _generated(self, task: CellTask, model: StudyModel) -> dict[str, float]:
+        case = task.case
+        clean = [case_observation(case, view) for view in case.inputs]
+        seen = clean[0]
+        if task.perturbed is not None:
+            rgba, _ = perturbed_input(case, self._seed, task.perturbed)
+            seen = case_observation(case, case.inputs[0], rgba)
+        start = time.perf_counter()
+        try:
+            asset = generated(self._generator(model, case.id), seen, self._seed)
+            made = time.perf_counter()
+            # by clean views: how well the silhouette is found again is not the model's doing
+            gaussians, placement = place(asset, case.size, clean, self._placement)
+        except InputError as error:
+            return self._failed(task, error, start)
+        placed = time.perf_counter()
+        shown = [drawn(gaussians, asset.low_pass, view) for view in case.targets]
+        facts = {
+            "details": dict(asset.details),
+            "seed": asset.seed,
+            "placement": placement,
+            "low_pass": asdict(asset.low_pass),
+        }
+        self._write(task, facts, shown)
+        return {
+            "generate": made - start,
+            "place": placed - made,
+            "measure": time.perf_counter() - placed,
+        }
+
+    def _write(self, task: CellTask, facts: dict[str, Any], shown: Sequence[Cutout]) -> None:
+        """Compare a vehicle's views with the photographs, and write its cell."""
+        targets = task.case.targets
+        truths = [photographed(view.load()) for view in targets]
+        scores = [
+            score_view(one, truth, self._distances)
+            for one, truth in zip(shown, truths, strict=True)
+        ]
+        views = tuple(view.name for view in targets)
+        features = self._features(shown, truths)
+        cell = Cell(task.key, task.case.id, facts, views, tuple(scores), features)
+        write_cell(task.folder, cell, {"strip": _strip(shown, truths)})
+
+    def _features(self, shown: Sequence[Cutout], truths: Sequence[Cutout]) -> dict[str, Features]:
+        """Of every view, seen in the square around the photographed vehicle."""
+        squares = [one.within(framed(truth.mask)) for one, truth in zip(shown, truths, strict=True)]
+        return {
+            embedder.key: np.stack([embedder.features(one) for one in squares]).astype(np.float32)
+            for embedder in self._embedders
+        }
+
+
+def perturbed_input(
+    case: ActorCase, seed: int, config: PerturbationConfig
+) -> tuple[Image, list[dict[str, Any]]]:
+    """The input as every model gets it: by seed and vehicle, never clean.
+
+    Returns:
+        (H, W, 4) uint8, and what was applied, by name and severity.
+    """
+    rng = np.random.default_rng([seed, zlib.crc32(case.id.encode()), _PERTURBATIONS])
+    never_clean = config.model_copy(update={"rho_clean": 0.0})
+    result = perturb(case.inputs[0].load(), never_clean, rng)
+    return result.rgba, [{"name": name, "severity": how} for name, how in result.applied]
+
+
+def case_observation(case: ActorCase, view: ActorView, rgba: Image | None = None) -> Observation:
+    """What a generator is given of a view: its own picture, or another one (H, W, 4)."""
+    return observation_of_view(
+        view.load() if rgba is None else rgba,
+        view.camera,
+        view.camera_from_actor,
+        case.size,
+        name=f"{case.id}/{view.name}",
+        category=case.category,
+    )
+
+
+def _strip(shown: Sequence[Cutout], truths: Sequence[Cutout]) -> Image:
+    return strip(shown, [tile_window(truth.mask) for truth in truths])
+
+
+OnDone = Callable[[CellTask, dict[str, float]], None]
+"""Called with every task that is done and the seconds it took."""
+
+
+def make_cells(
+    tasks: Sequence[CellTask],
+    measures: Measures,
+    seed: int,
+    placement: Placement,
+    workers: int,
+    on_done: OnDone,
+) -> None:
+    """Make and write all cells; the files are the same bytes for any number of workers.
+
+    Args:
+        tasks: those of one model in a row, since every process keeps just one loaded.
+        measures, seed, placement: see `CellMaker`.
+        workers: number of processes; with one, all is done in this process.
+        on_done: function that is called after each task, in the order in which they end.
+
+    Raises:
+        InputError: see `CellMaker`, or a process was killed. Finished cells stay.
+    """
+    pool = in_this_process if len(tasks) < 2 else worker_pool(min(workers, len(tasks)))
+    left, plan = iter(tasks), (measures, seed, placement)
+    for task, took in pool(_start_maker, plan, lambda: next(left, None), "finished vehicles"):
+        on_done(task, took)
+
+
+def _start_maker(
+    number: int, measures: Measures, seed: int, placement: Placement
+) -> Callable[[CellTask], dict[str, float]]:
+    del number
+    return CellMaker(measures, seed, placement)

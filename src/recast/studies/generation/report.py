@@ -1,0 +1,267 @@
+"""The results of a generation study in files and on the terminal, and the paper's to set beside.
+
+The paper's (RECAST, section 5, Q3) are of its held-out RECAR vehicles and the published weights; on
+another set they say what to expect of the order, not of the values.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, field
+from typing import Any
+
+from rich.table import Table
+
+from recast.metrics.table import rounded
+from recast.studies.generation.summary import (
+    STUDY_COLUMNS,
+    StudyBlock,
+    StudyRow,
+)
+
+PAPER_COLUMNS = ("psnr", "ssim", "lpips", "clip", "fd_inception", "fd_dino")
+"""Scores in the paper's order, keys of `STUDY_COLUMNS`."""
+_ROWS = {
+    "Real3D": (13.19, 0.5691, 0.3223, 68.17, 91.196, 1282.01),
+    "LN3Diff": (18.95, 0.8843, 0.1105, 63.03, 93.288, 1455.05),
+    "3DTopia-XL": (15.54, 0.8085, 0.1817, 59.90, 166.294, 1299.59),
+    "SAR3D": (15.39, 0.8231, 0.1588, 66.55, 64.042, 746.99),
+    "Asset Harvester": (19.22, 0.8792, 0.1044, 78.29, 38.368, 183.08),
+    "TRELLIS": (21.02, 0.9077, 0.0603, 78.22, 9.788, 43.89),
+    "Stage I only": (22.90, 0.9178, 0.0534, 78.30, 8.176, 36.94),
+    "both stages": (22.90, 0.9179, 0.0532, 78.38, 7.992, 36.47),
+}
+PAPER_ROWS: Mapping[str, Mapping[str, float]] = {
+    row: dict(zip(PAPER_COLUMNS, values, strict=True)) for row, values in _ROWS.items()
+}
+"""Scores by name of the row and key of `STUDY_COLUMNS`. The last three are the ablation."""
+_PLACED = {
+    "views": "by the clean conditioning view, as `recast eval actor` places them",
+    "canonical": "by the model's own forward axis, scaled by the length of the box",
+}
+_SEEN = {
+    "set": "in the photographs' own cameras and size",
+    "orbit": "at 512 x 512 pixels and 40 degrees, twice the longest side of the box away, in the "
+    "direction of the photograph, which is scaled about its centre",
+}
+
+
+@dataclass(frozen=True)
+class StudyFacts:
+    """What was studied, in plain values that do not depend on where files lie.
+
+    Attributes:
+        set: name of the folder.
+        models: models by name: last part of the path or name of the generator, and hash of its
+            content.
+        seed: seed of everything random.
+        placement: see `recast.studies.generation.cell`.
+        perturbations: the configuration; None where all inputs were clean.
+        measures: weights that were given, as `models`.
+        samples: number of bootstrap samples.
+        targets: see `recast.metrics.cases`.
+        beside: rows of the paper by name of the row they stand beside.
+    """
+
+    set: str
+    models: Mapping[str, Mapping[str, str]]
+    seed: int
+    placement: str
+    perturbations: Mapping[str, Any] | None
+    measures: Mapping[str, Mapping[str, str]]
+    samples: int
+    targets: str = "set"
+    beside: Mapping[str, str] = field(default_factory=dict)
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain data."""
+        return asdict(self)
+
+
+def study_json(facts: StudyFacts, blocks: Sequence[StudyBlock]) -> dict[str, Any]:
+    """All results as plain data, rounded to six decimals."""
+    return rounded(
+        {"version": 1, **facts.to_json(), "blocks": [_block_json(block) for block in blocks]}
+    )
+
+
+def study_markdown(facts: StudyFacts, blocks: Sequence[StudyBlock]) -> str:
+    """Tables and paired differences for people."""
+    lines = [f"# Generation study on {facts.set}", ""]
+    for block in blocks:
+        lines += _block_markdown(block)
+    if facts.beside:
+        lines += _paper_markdown(blocks[0], facts.beside)
+    lines += ["## How to read it", ""]
+    lines += [f"- {note}" for note in _notes(facts, blocks)]
+    return "\n".join(lines) + "\n"
+
+
+def study_table(block: StudyBlock) -> Table:
+    """A line for every model."""
+    return _rich(_title(block), *_model_lines(block))
+
+
+def paper_table(block: StudyBlock, beside: Mapping[str, str]) -> Table:
+    """Scores in the paper's columns, and in brackets what the paper has."""
+    return _rich("Beside the paper: here (there)", *_paper_lines(block, beside))
+
+
+def differences_table(block: StudyBlock) -> Table:
+    """A line for every pair of consecutive models and every score."""
+    return _rich(f"Paired differences, {block.condition} inputs", *_difference_lines(block))
+
+
+_Lines = tuple[str, list[list[str]]]
+"""Alignment of each column, l or r; headings, then rows."""
+
+
+def _rich(title: str, align: str, lines: list[list[str]]) -> Table:
+    table = Table(title=title)
+    for heading, side in zip(lines[0], align, strict=True):
+        table.add_column(heading, justify="left" if side == "l" else "right")
+    for row in lines[1:]:
+        table.add_row(*row)
+    return table
+
+
+def _markdown(align: str, lines: list[list[str]]) -> list[str]:
+    rule = "|" + "".join("---|" if side == "l" else "---:|" for side in align)
+    shown = [f"| {' | '.join(row)} |" for row in lines]
+    return [shown[0], rule, *shown[1:]]
+
+
+def _block_json(block: StudyBlock) -> dict[str, Any]:
+    return {
+        "condition": block.condition,
+        "identities": list(block.identities),
+        "views": block.views,
+        "failures": block.failures,
+        "rows": [asdict(row) for row in block.rows],
+        "differences": [
+            {
+                "candidate": one.candidate,
+                "baseline": one.baseline,
+                "score": one.score,
+                "mean": one.interval.point,
+                **{name: getattr(one.interval, name) for name in ("low", "high", "level", "std")},
+                "better": one.better,
+            }
+            for one in block.differences
+        ],
+        "vehicles": block.vehicles,
+    }
+
+
+def _block_markdown(block: StudyBlock) -> list[str]:
+    align, table = _model_lines(block)
+    for place, key in enumerate(block.rows[0].scores, start=2):
+        best = _best(block.rows, key)
+        for row in table[1:] if len(block.rows) > 1 else ():
+            row[place] = f"**{best}**" if row[place] == best else row[place]
+    lines = [f"## {_title(block)}", "", *_markdown(align, table), ""]
+    if block.differences:
+        lines += [*_markdown(*_difference_lines(block)), ""]
+    for model, failed in block.failures.items():
+        lines += [f"- {model} did not make {id}: {reason}" for id, reason in failed.items()]
+    return [*lines, ""] if lines[-1] else lines
+
+
+def _model_lines(block: StudyBlock) -> _Lines:
+    keys = list(block.rows[0].scores)
+    lines = [["model", "made", *map(_heading, keys)]]
+    for row in block.rows:
+        cells = [STUDY_COLUMNS[key].shown(row.scores[key]) for key in keys]
+        lines.append([row.model, str(row.made), *cells])
+    return "l" + "r" * (len(keys) + 1), lines
+
+
+def _difference_lines(block: StudyBlock) -> _Lines:
+    level = 100 * block.differences[0].interval.level if block.differences else 95
+    lines = [["difference", "score", "mean", f"{level:g} % interval", "better"]]
+    for one in block.differences:
+        decimals = STUDY_COLUMNS[one.score].decimals + 1
+        mean, low, high = (
+            f"{value:+.{decimals}f}"
+            for value in (one.interval.point, one.interval.low, one.interval.high)
+        )
+        names = f"{one.candidate} - {one.baseline}"
+        better = one.better or "undecided"
+        lines.append([names, _heading(one.score), mean, f"[{low}, {high}]", better])
+    return "llrrl", lines
+
+
+def _paper_markdown(block: StudyBlock, beside: Mapping[str, str]) -> list[str]:
+    return [
+        "## Beside the paper: here (there)",
+        "",
+        *_markdown(*_paper_lines(block, beside)),
+        "",
+        "The paper's figures are of its held-out RECAR vehicles and the published "
+        "weights, ours of the set above: compare the order of rows. A dash: not run or not "
+        "measured here.",
+        "",
+    ]
+
+
+def _paper_lines(block: StudyBlock, beside: Mapping[str, str]) -> _Lines:
+    """Name, the paper's row, and a cell for each of the paper's columns."""
+    ours = {row.model: row.scores for row in block.rows}
+    lines = [["model", "paper's row", *map(_heading, PAPER_COLUMNS)]]
+    for name in [*beside, *(name for name in ours if name not in beside)]:
+        theirs = PAPER_ROWS[beside[name]] if name in beside else {}
+        scores = ours.get(name, {})
+        cells = [name, beside.get(name, "-")]
+        for key in PAPER_COLUMNS:
+            column = STUDY_COLUMNS[key]
+            here = column.shown(scores[key]) if key in scores else "-"
+            cells.append(f"{here} ({column.shown(theirs[key])})" if key in theirs else here)
+        lines.append(cells)
+    return "ll" + "r" * len(PAPER_COLUMNS), lines
+
+
+def _notes(facts: StudyFacts, blocks: Sequence[StudyBlock]) -> list[str]:
+    keys = set(blocks[0].rows[0].scores)
+    pictures = ", ".join(f"{block.views} {block.condition}" for block in blocks)
+    notes = [
+        "All models get the same image of a vehicle, one view by seed that is not a target; views "
+        f"are compared before black {_SEEN[facts.targets]}. Scores are means over the vehicles "
+        "that every model made, each vehicle counting the same.",
+        f"Vehicles are placed {_PLACED[facts.placement]}; pictures that were drawn elsewhere are "
+        "taken as they are.",
+        f"Intervals: percentile bootstrap over vehicles, {facts.samples} samples; `better` names "
+        "the model that the interval favours, if it does not hold zero. They tell about other "
+        "vehicles, not about other trainings or seeds.",
+        f"FD is the Frechet distance to the photographs of the same views ({pictures}). Over few "
+        "pictures it is too large, the more so the more dimensions the features have: compare it "
+        "within a table, not with other studies.",
+        "Toy features are 128 handcrafted numbers (colours and gradients in 4 x 4 cells), a "
+        "stand-in that tells colour and layout; their figures compare with no published ones.",
+    ]
+    if facts.perturbations is not None:
+        notes.append(
+            "Perturbed inputs are never left clean, whatever rho_clean says; all models get the "
+            "same perturbed picture."
+        )
+    if "psnr_vehicle" in keys:
+        notes.append("PSNR vehicle is over the pixels of either outline.")
+    return notes
+
+
+def _title(block: StudyBlock) -> str:
+    return (
+        f"{block.condition.capitalize()} inputs: {len(block.identities)} vehicles, "
+        f"{block.views} views"
+    )
+
+
+def _heading(key: str) -> str:
+    column = STUDY_COLUMNS[key]
+    unit = f" {column.unit}" if column.unit else ""
+    return f"{column.label}{unit} {'↑' if column.higher else '↓'}"
+
+
+def _best(rows: Sequence[StudyRow], key: str) -> str:
+    column = STUDY_COLUMNS[key]
+    values = [row.scores[key] for row in rows]
+    return column.shown(max(values) if column.higher else min(values))

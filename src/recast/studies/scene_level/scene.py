@@ -1,0 +1,278 @@
+"""One scene of the scene-level evaluation: drives, images that count, and what networks see."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import asdict
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+from PIL import Image as PilImage
+
+from recast.arrays import Array, Image
+from recast.cameras import PinholeCamera, box_outline
+from recast.core import Artefact, files
+from recast.dynamics import EgoState
+from recast.dynamics.state import SIZE as EGO_SIZE
+from recast.geometry import se3
+from recast.metrics.scene_level.frames import (
+    FRAMES_FILE,
+    REFERENCES_FILE,
+    FramesRecord,
+    LoggedFrame,
+    ReferencesRecord,
+    logged_frames,
+    read_frames,
+    read_references,
+    shown_frames,
+    spread_over_azimuth,
+)
+from recast.metrics.scene_level.scores import FEATURES_FILE, Networks, SeenImage, save_features
+from recast.runs.arms import Arm
+from recast.runs.layout import use_name
+from recast.runs.rollouts import read_rollout
+from recast.runs.sources import RECIPES
+from recast.scene import load_scene
+from recast.scene.scores import Rectangle
+from recast.scene.views import read_view
+from recast.simulation import (
+    Rollout,
+    RolloutFailure,
+    SensorRenderer,
+    SimState,
+    camera_mounts,
+)
+from recast.studies.scene_level.request import (
+    DRIVER,
+    LEVEL_FORMAT,
+    DepthOf,
+    LevelSettings,
+    street_depth,
+    true_depth,
+    visible_frames,
+)
+from recast.studies.scene_run import SceneRun
+
+_LOG = logging.getLogger(__name__)
+
+
+FRAMES, REFERENCES, FEATURES = "frames", "references", "features"
+"""Uses of artefacts; those of features have a name behind them."""
+REPLAY = "log-replay"
+"""Control: the first street with its own vehicle at the logged poses, in the logged images."""
+
+
+class LevelScene:
+    """A scene of the evaluation, `run` with its store; `networks` are loaded once a worker."""
+
+    def __init__(
+        self, run: SceneRun, settings: LevelSettings, networks: Callable[[], Networks]
+    ) -> None:
+        self._settings, self._networks = settings, networks
+        self._artefacts, self._maker = run.artefacts, run.artefacts.maker
+        self._config, self._source = run.artefacts.config, run.artefacts.source
+        self._log, self._track = self._source.log, self._source.log.tracks[self._config.track]
+        cameras = self._config.scene.cameras or None
+        self._mounts = camera_mounts(self._log, cameras, self._config.scene.scale)
+
+    def prepare(self) -> None:
+        """Make streets, vehicles and drives, and find the images that count."""
+        for arm in self._artefacts.arms.values():
+            if arm.reconstructs:
+                self._artefacts.scene(arm)
+            if arm.generates:
+                self._artefacts.actor(arm, self._config.track)
+        self.frames()
+        self.references()
+
+    def frames(self) -> Artefact:
+        """The images of the drives that count for every arm, see `FrameRule`."""
+        drives = {motion: self._drive(motion) for motion in self._config.motions}
+        inputs = {
+            **self._of_log(),
+            "drives": {motion: one.reference for motion, one in drives.items()},
+            "streets": self._streets(),
+        }
+
+        def make(out: Path) -> None:
+            found = self._drives.items()
+            rollouts = [one for _, one in found if isinstance(one, Rollout)]
+            failures = {m: one.reason for m, one in found if isinstance(one, RolloutFailure)}
+            frames = tuple(
+                visible_frames(rollouts, self._mounts, self._settings.rule, self._depths())
+            )
+            record = FramesRecord(frames=frames, shown=shown_frames(frames), failures=failures)
+            files.write_json(out / FRAMES_FILE, record.model_dump(mode="json"))
+
+        return self._make(FRAMES, "images that count", inputs, make)
+
+    def references(self) -> Artefact:
+        """The logged images that count."""
+
+        def make(out: Path) -> None:
+            cameras = [(name, mount.camera) for name, mount in self._mounts.items()]
+            frames = list(
+                logged_frames(self._log, self._config.track, cameras, self._settings.rule)
+            )
+            compared = spread_over_azimuth(frames, self._settings.most_references)
+            record = ReferencesRecord(frames=tuple(frames), compared=tuple(compared))
+            files.write_json(out / REFERENCES_FILE, record.model_dump(mode="json"))
+
+        inputs = {**self._of_log(), "most_references": self._settings.most_references}
+        return self._make(REFERENCES, "logged images that count", inputs, make)
+
+    def measured(self, name: str) -> Artefact:
+        """What the networks make of the images of an arm, of `REFERENCES` or of `REPLAY`."""
+        frames, references = self.frames(), self.references()
+        inputs = {
+            "references": references.reference,
+            "crop": self._settings.crop,
+            "networks": dict(self._settings.hashes),
+            "recipe": RECIPES["scene-level"],
+        }
+        arm = self._artefacts.arms.get(name)
+        if arm is not None:
+            inputs["frames"] = frames.reference
+        if name == REPLAY:
+            arm = next(one for one in self._artefacts.arms.values() if one.reconstructs)
+            arm = Arm.native(arm.street)
+            inputs["replayed"] = True
+        if arm is not None:
+            inputs |= self._artefacts.images_of(arm)
+            if arm.generates:
+                inputs["actor"] = self._artefacts.actor(arm, self._config.track).reference
+
+        def make(out: Path) -> None:
+            logged = read_references(references.path)
+            compared = [self._photograph(logged.frames[index]) for index in logged.compared]
+            images: Iterator[SeenImage | None]
+            if arm is None:
+                images = (self._photograph(one) for one in logged.frames)
+            elif name == REPLAY:
+                images = self._replayed(arm, logged.frames)
+            else:
+                images = self._driven(arm, read_frames(frames.path), out)
+            save_features(self._networks().look(images, compared), out / FEATURES_FILE)
+
+        return self._make(use_name(FEATURES, name), f"features of {name}", inputs, make)
+
+    @cached_property
+    def _drives(self) -> dict[str, Rollout | RolloutFailure]:
+        """The drives by motion, read once."""
+        return {motion: read_rollout(self._drive(motion).path) for motion in self._config.motions}
+
+    def _drive(self, motion: str) -> Artefact:
+        """One drive serves all arms: its planner looks at no images."""
+        first = next(iter(self._artefacts.arms.values()))
+        return self._artefacts.rollout(motion, DRIVER, first)
+
+    def _of_log(self) -> dict[str, Any]:
+        """What the images that count depend on besides the drives."""
+        return {
+            "log": self._source.hash,
+            "track": self._config.track,
+            "cameras": list(self._mounts),
+            "scale": self._config.scene.scale,
+            "rule": asdict(self._settings.rule),
+            "recipe": RECIPES["scene-level"],
+        }
+
+    def _streets(self) -> dict[str, str]:
+        """Every street that an arm uses, by name: its artefact, or "truth"."""
+        return {
+            arm.street: self._artefacts.images_of(arm)["street"]
+            for arm in self._artefacts.arms.values()
+        }
+
+    def _make(
+        self, use: str, title: str, inputs: Mapping[str, Any], make: Callable[[Path], None]
+    ) -> Artefact:
+        if use not in self._artefacts.used:
+            self._artefacts.used[use] = self._maker.make(
+                title, "evaluations", inputs, make, f"{title}, {self._log.name}"
+            )
+        return self._artefacts.used[use]
+
+    def _depths(self) -> list[DepthOf]:
+        """Depth of each street that an arm uses."""
+        track = self._config.track
+        arms = {arm.street: arm for arm in self._artefacts.arms.values()}.values()
+        return [
+            street_depth(load_scene(self._artefacts.scene(arm).path), track)
+            if arm.reconstructs
+            else true_depth(self._source.world, track)
+            for arm in arms
+        ]
+
+    def _seen(
+        self, image: Image, rectangle: Rectangle, camera: PinholeCamera, seen_from: Array
+    ) -> SeenImage:
+        if self._settings.crop == "boxed":
+            return SeenImage(image, rectangle)
+        outline = np.zeros(image.shape[:2], np.uint8)
+        pixels = box_outline(self._track.size, seen_from, camera)
+        cv2.fillConvexPoly(outline, cv2.convexHull(np.rint(pixels).astype(np.int32)), 1)
+        return SeenImage(image, rectangle, outline > 0)
+
+    def _photograph(self, logged: LoggedFrame) -> SeenImage:
+        """A logged image, rectified and resized as renders are."""
+        stream, camera = self._log.cameras[logged.camera], self._mounts[logged.camera].camera
+        view = read_view(self._log, stream, logged.frame, self._config.scene.scale)
+        pose = self._track.trajectory.at(logged.timestamp_us)
+        return self._seen(view.image, logged.rectangle, camera, view.camera_from_world @ pose)
+
+    def _replayed(self, arm: Arm, frames: Sequence[LoggedFrame]) -> Iterator[SeenImage | None]:
+        """Logged images, drawn from a street with its own vehicle at its logged pose."""
+        for one in frames:
+            pose = self._track.trajectory.at(one.timestamp_us)
+            state = SimState(
+                step=one.frame,
+                timestamp_us=one.timestamp_us,
+                ego=EgoState(np.zeros(EGO_SIZE)),
+                log_ego=np.zeros(4),
+                world_from_rig=self._log.world_from_rig.at(one.timestamp_us),
+                track_id=self._config.track,
+                actor=np.zeros(4),
+                world_from_actor=pose,
+            )
+            yield self._drawn(self._renderer(arm), state, one.camera, one.rectangle)
+
+    def _driven(self, arm: Arm, record: FramesRecord, out: Path) -> Iterator[SeenImage | None]:
+        """The images of an arm; those of the figure are kept."""
+        rollouts = {
+            (one.motion, one.setting): one
+            for one in self._drives.values()
+            if isinstance(one, Rollout)
+        }
+        for index, one in enumerate(record.frames):
+            state = rollouts[one.motion, one.setting].state(one.step)
+            found = self._drawn(self._renderer(arm), state, one.camera, one.rectangle)
+            if found is not None and index in record.shown:
+                PilImage.fromarray(found.image).save(out / shown_file(index), format="PNG")
+            yield found
+
+    def _drawn(
+        self, renderer: SensorRenderer, state: SimState, camera: str, rectangle: Rectangle
+    ) -> SeenImage | None:
+        """One image; None, which takes it from all arms, where it cannot be rendered."""
+        try:
+            image = renderer.render(state, (camera,))[camera]
+        except Exception:
+            _LOG.warning("step %d, camera %s failed", state.step, camera, exc_info=True)
+            return None
+        mount = self._mounts[camera]
+        world_from_camera = state.world_from_rig @ mount.rig_from_camera
+        seen_from = se3.inverse(world_from_camera) @ state.world_from_actor
+        return self._seen(image, rectangle, mount.camera, seen_from)
+
+    def _renderer(self, arm: Arm) -> SensorRenderer:
+        return self._artefacts.renderers.of(arm, (self._config.track,), LEVEL_FORMAT, self._mounts)
+
+
+def shown_file(index: int) -> str:
+    """Name of the picture of an image that stands in the figure."""
+    return f"shown_{index:05d}.png"
