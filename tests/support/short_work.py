@@ -1,4 +1,4 @@
-"""Short refinements and films: what runs and studies do with them is tested here, not how good they are."""
+"""Short refinements and films: tests of runs and studies are not about how good they are."""
 
 from __future__ import annotations
 
