@@ -24,13 +24,14 @@ endif
 TESTS ?= tests/geometry tests/dynamics tests/metrics tests/splats tests/trellis tests/planning/pdm \
   tests/planning/gtrs
 
-.PHONY: help setup asam demo test test-portable $(LEVELS:%=test-at-%) lint types contracts docs unit fuzz bench wheel clean
+.PHONY: help setup asam demo test test-portable $(LEVELS:%=test-at-%) lint types contracts docs unit recipes fuzz bench wheel clean
 
 help:
 	@echo "make setup   install into $(VENV)"
 	@echo "make demo    a made-up drive, from log to report (about seven minutes)"
 	@echo "make test    lint, types, layer contracts and the tests (what CI runs)"
 	@echo "make test-portable   tests whose numbers may differ, as on lesser processors"
+	@echo "make recipes accept the code of all steps, after RECIPES were raised where it matters"
 	@echo "make fuzz    100,000 damaged files for every reader; goes on where it was stopped"
 	@echo "make bench   the benchmarks of rasterizer, ray tracer and image-to-3D model"
 	@echo "make wheel   a wheel for this machine, in dist/"
@@ -87,6 +88,9 @@ test-portable: $(LEVELS:%=test-at-%)
 
 $(LEVELS:%=test-at-%): test-at-%: setup
 	$(PORTABLE_$*) $(PYTEST) $(TESTS)
+
+recipes: setup
+	PYTHONPATH=tests $(BIN)/python tests/runs/test_recipes.py
 
 fuzz: setup
 	PYTHONPATH=tests $(BIN)/python -m fuzz.campaign --workers $(WORKERS)
