@@ -18,7 +18,7 @@ TIMES = ("times.json",)
 
 STEPS = (
     "scene/recast",
-    "metrics/recast",
+    "evaluation/recast",
     "registered/replaced",
     "actor/replaced",
     "turntable/replaced",

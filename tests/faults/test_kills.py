@@ -24,7 +24,7 @@ WHOLE_RUN = (
     ("os.rename {whole}", "scene/recast"),
     ("os.rename store/users/", ""),
     ("os.symlink run/scenes/recast", ""),
-    ("os.rename {whole}", "metrics/recast"),
+    ("os.rename {whole}", "evaluation/recast"),
     ("open {part}/data/.observation.partial/frame.png", "registered/replaced"),
     ("os.rename {part}/data/actor", "registered/replaced"),
     ("os.rename {whole}", "registered/replaced"),
@@ -80,7 +80,7 @@ def test_a_finished_run_that_is_killed_while_a_part_is_made_again_keeps_the_othe
     finished: Unbroken, tmp_path: Path
 ) -> None:
     """The record and the links still lead to all that was finished."""
-    step = "metrics/recast"
+    step = "evaluation/recast"
     out = finished.without(step, tmp_path / "1")
     assert finished.again(out, Fault(out.parent, KILL, 5)).code == KILL
     found, whole = (files.read_json(run / "run.json")["artefacts"] for run in (out, finished.out))

@@ -95,7 +95,7 @@ def rollouts(planner: str, *motions: str) -> set[str]:
 
 
 MINE = rollouts("my_planner:Mine")
-SCENE = {"scene/recast", "metrics/recast"}
+SCENE = {"scene/recast", "evaluation/recast"}
 VEHICLE = {"registered/replaced", "actor/replaced", "turntable/replaced"}
 OWN = {"metrics.json", "report"}
 
