@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from evaluation.test_perceptual import write_clip
+from metrics.test_perceptual import write_clip
 
 from actors import made_up
 from actors.mesh.made import car as box_car
