@@ -7,11 +7,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from metrics.test_perceptual import write_clip
 
 from actors import made_up
 from actors.mesh.made import car as box_car
 from actors.mesh.made import picture, textured_square
+from metrics.test_perceptual import write_clip
 from recast.actors import Actor, Observation, SplatGenerator, make_generator, save_actor
 from recast.actors import library as retrieval
 from recast.actors import library as summaries
