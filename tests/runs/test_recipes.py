@@ -19,15 +19,18 @@ SOURCE = Path(__file__).parents[2] / "src" / "recast"
 ACCEPTED = Path(__file__).with_name("recipes.json")
 CODE = {
     "log": ("logs", "synthetic", "tables"),
-    "actor": ("actors", "scene", "splats", "trellis"),
+    "actor": ("actors", "scene", "splats", "trellis", "runs/actor.py"),
     "refine": ("actors", "scene", "splats"),
     "turntable": ("actors", "splats"),
     "scene": ("scene", "splats"),
     "evaluation": ("scene", "splats", "metrics/perceptual.py"),
     "truth": ("metrics", "synthetic"),
-    "rollout": ("simulation", "planning", "dynamics", "scene", "splats", "synthetic"),
+    "rollout": (
+        *("simulation", "planning", "dynamics", "scene", "splats", "synthetic"),
+        *("runs/rollouts.py", "runs/renderers.py", "runs/planner_cameras.py"),
+    ),
     "scene-level": ("metrics/scene_level", "studies/scene_level", "pretrained"),
-    "metrics": ("metrics",),
+    "metrics": ("metrics", "runs/scores.py", "runs/scored_rollouts.py"),
     "report": ("reporting", "runs/report.py", "runs/report_parts.py"),
 }
 """Packages and modules whose code decides what a step writes. `core`, `geometry` and `cameras`,

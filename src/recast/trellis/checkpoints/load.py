@@ -248,17 +248,15 @@ def _fill(
     if torso_dtype is not None:
         model.set_torso_dtype(torso_dtype)
     tensors = read_safetensors(files.weights, "file", "download it again")[0]
-    mend = "download or write the file again"
-    for name, tensor in tensors.items():
-        if not bool(torch.isfinite(tensor).all()):
-            raise InputError(files.weights, name, "holds NaN or infinite values", mend)
     model.to_empty(device=device)
     model.load_published(tensors)
     model.eval()
     for name, loaded in model.published_state().items():
         if not bool(torch.isfinite(loaded).all()):
-            problem = f"exceeds the range of {loaded.dtype}, to which it was converted"
-            raise InputError(files.weights, name, problem, mend)
+            problem = "holds NaN or infinite values"
+            if bool(torch.isfinite(tensors[name]).all()):
+                problem = f"exceeds the range of {loaded.dtype}, to which it was converted"
+            raise InputError(files.weights, name, problem, "download or write the file again")
 
 
 def export_model(folder: str | Path, out: str | Path) -> None:

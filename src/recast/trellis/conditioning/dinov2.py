@@ -240,7 +240,9 @@ class Dinov2Encoder(TrellisModel):
             RuntimeError: a name is missing or unknown, or a shape differs, see `state_faults`.
         """
         own = self.backbone.state_dict()
-        faults = state_faults(state, to_hub({n: tensor.to("meta") for n, tensor in own.items()}))
+        wanted = to_hub({name: tensor.to("meta") for name, tensor in own.items()})
+        # Who reads the tensors looks for NaN, and can name the file.
+        faults = state_faults({name: tensor.to("meta") for name, tensor in state.items()}, wanted)
         if any(faults.values()):
             raise RuntimeError(f"tensors do not match this network: {faults}")
         self.backbone.load_state_dict(from_hub(state, own), strict=True)
