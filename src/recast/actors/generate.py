@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
@@ -12,7 +11,7 @@ from typing import Protocol, runtime_checkable
 from recast.actors.axes import AUTO, UNIT_CUBE_X_FORWARD, UNIT_CUBE_Z_UP, AxisConvention, axes_of
 from recast.actors.observation import Observation
 from recast.core.errors import InputError
-from recast.core.foreign import ForeignCode, read_only, reported
+from recast.core.foreign import foreign_call, read_only
 from recast.core.plugins import GENERATORS
 from recast.splats import CLASSIC, Gaussians, LowPass
 from recast.trellis import (
@@ -72,7 +71,7 @@ def candidates_of(
 ) -> Sequence[Callable[[], Asset]]:
     """What makes each vehicle that a generator offers: all it has, or the one."""
     if isinstance(generator, OffersCandidates):
-        with _guarded(generator, seed, "candidates"):
+        with foreign_call(f"generator {generator.name}", "candidates", generator, seed):
             return generator.candidates(read_only(observation), seed)
     return [lambda: generated(generator, observation, seed)]
 
@@ -81,17 +80,10 @@ def generated(generator: ActorGenerator, observation: Observation, seed: int) ->
     """What a generator, which may be a user's, makes of a read-only observation.
 
     Raises:
-        InputError: a user's generator raises an exception; see also `ForeignCode`.
+        InputError: a user's generator raises an exception; see also `foreign_call`.
     """
-    with _guarded(generator, seed, "generate"):
+    with foreign_call(f"generator {generator.name}", "generate", generator, seed):
         return generator.generate(read_only(observation), seed)
-
-
-@contextmanager
-def _guarded(generator: ActorGenerator, seed: int, what: str) -> Iterator[None]:
-    who = f"generator {generator.name}"
-    with reported(who, what, generator), ForeignCode(who, seed).call(what):
-        yield
 
 
 def make_generator(generator: str | Path | ActorGenerator, axes: str = AUTO) -> ActorGenerator:

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from recast.actors.observation import MaskQuality
 from recast.arrays import Array, Mask
 from recast.cameras import PinholeCamera
-from recast.core.foreign import ForeignCode, read_only, reported
+from recast.core.foreign import foreign_call, read_only
 from recast.geometry import boxes, se3
 
 _REACH = 0.06  # shares of the vehicle's extent in the image: how far it may reach beyond the hull
@@ -77,8 +77,7 @@ def run_segmenter(segmenter: Segmenter, target: SegmentationTarget) -> Segmentat
     Raises:
         ValueError: the alpha is not (H, W) uint8 of the crop's size.
     """
-    who = f"segmenter {type(segmenter).__name__}"
-    with reported(who, "segment", segmenter), ForeignCode(who).call("segment"):
+    with foreign_call(f"segmenter {type(segmenter).__name__}", "segment", segmenter):
         found = segmenter.segment(read_only(target))
     segmentation = found if isinstance(found, Segmentation) else Segmentation(found)
     alpha = np.array(segmentation.alpha)

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import builtins
 import inspect
 import os
+import sys
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import cache, wraps
 from numbers import Integral, Real
@@ -51,20 +53,20 @@ def checked(
     def decorate(function: Callable[Given, Result]) -> Callable[Given, Result]:
         signature = inspect.signature(function)
         where = function.__qualname__.removesuffix(".__init__")
-        hints = cache(lambda: _hints(function))
+        known = readers or {}
 
         @wraps(function)
         def call(*args: Given.args, **options: Given.kwargs) -> Result:
             _require_names(where, signature, options)
             bound = signature.bind(*args, **options)
             for name, value in bound.arguments.items():
-                hint = hints().get(name, Any)
+                hint = _hints(function).get(name, Any)
                 if signature.parameters[name].kind is not inspect.Parameter.VAR_KEYWORD:
-                    bound.arguments[name] = _converted(where, name, value, hint, readers or {})
+                    bound.arguments[name] = _converted(where, name, value, hint, known)
                 elif get_origin(hint) is Unpack:
                     members = _hints(get_args(hint)[0])
                     for key in value.keys() & members.keys():
-                        value[key] = _converted(where, key, value[key], members[key], readers or {})
+                        value[key] = _converted(where, key, value[key], members[key], known)
             return function(*bound.args, **bound.kwargs)
 
         return call
@@ -79,10 +81,9 @@ class _Names(dict[str, Any]):
         return type(name, (), {"__module__": __name__})
 
 
+@cache
 def _hints(of: Any) -> dict[str, Any]:
-    import builtins
-    import sys
-
+    """The resolved annotations of a function or a TypedDict, when they are first asked for."""
     names = {**vars(builtins), **vars(sys.modules[of.__module__])}
     return get_type_hints(of, localns=_Names(names))
 

@@ -133,16 +133,21 @@ class ForeignCode:
 
 
 @contextmanager
-def reported(who: str, what: str, code: object) -> Iterator[None]:
-    """Raise what a user's code raises as an `InputError` with the line that raised it.
+def foreign_call(who: str, what: str, code: object, seed: int = 0) -> Iterator[None]:
+    """Guard one call of a user's code; what it raises is one line with the place that raised it.
 
     Args:
         who: name of the part, such as "importer mine:load".
         what: the call, such as the path that it reads.
         code: function or object; if it is one of recast's, its exceptions are faults of recast.
+        seed: see `ForeignCode`.
+
+    Raises:
+        InputError: the code raises an exception; or see `ForeignCode.call`.
     """
     try:
-        yield
+        with ForeignCode(who, seed).call(what):
+            yield
     except InputError:
         raise
     except Exception as error:

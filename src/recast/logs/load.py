@@ -19,7 +19,7 @@ from upath import UPath
 from recast.core.arguments import checked
 from recast.core.errors import InputError
 from recast.core.files import alone_in, atomic_folder, disk_errors
-from recast.core.foreign import ForeignCode, reported
+from recast.core.foreign import foreign_call
 from recast.core.names import member
 from recast.core.plugins import IMPORTERS
 from recast.core.progress import Progress
@@ -110,8 +110,7 @@ def _imported(
         shown = root if isinstance(root, str) else type(root).__name__
         raise InputError("importer", name, f"cannot read {shown}", "name a local folder")
     _check_call(name, load, drive, given)
-    who = f"importer {name}"
-    with reported(who, os.fspath(root), load), ForeignCode(who).call(os.fspath(root)):
+    with foreign_call(f"importer {name}", os.fspath(root), load):
         log = load(Path(root), **given) if drive is None else load(Path(root), drive, **given)
     if not isinstance(log, DrivingLog):
         problem = f"returned {type(log).__name__} in place of a DrivingLog"
