@@ -21,8 +21,9 @@ LEVELS += avx2
 endif
 endif
 # The tests whose numbers may differ between processors; TESTS=tests for all.
-TESTS ?= tests/geometry tests/dynamics tests/metrics tests/splats tests/trellis tests/planning/pdm \
-  tests/planning/gtrs
+TESTS ?= tests/geometry tests/cameras tests/dynamics tests/metrics tests/splats tests/trellis \
+  tests/training tests/planning/pdm tests/planning/gtrs tests/studies/test_generation_summary.py \
+  tests/studies/test_grid_summary.py
 
 .PHONY: help setup asam demo test test-portable $(LEVELS:%=test-at-%) lint types contracts docs unit recipes fuzz bench wheel clean
 
