@@ -25,7 +25,8 @@ TESTS ?= tests/geometry tests/cameras tests/dynamics tests/metrics tests/splats 
   tests/training tests/planning/pdm tests/planning/gtrs tests/studies/test_generation_summary.py \
   tests/studies/test_grid_summary.py
 
-.PHONY: help setup asam demo test test-portable $(LEVELS:%=test-at-%) lint types contracts docs unit recipes fuzz bench wheel clean
+SIZES := src/recast bridges/src/recast_bridges tools/src/recast_tools tests
+.PHONY: sizes help setup asam demo test test-portable $(LEVELS:%=test-at-%) lint types contracts docs unit recipes fuzz bench wheel clean
 
 help:
 	@echo "make setup   install into $(VENV)"
@@ -35,7 +36,8 @@ help:
 	@echo "make recipes accept the code of all steps, after RECIPES were raised where it matters"
 	@echo "make fuzz    100,000 damaged files for every reader; goes on where it was stopped"
 	@echo "make bench   the benchmarks of rasterizer, ray tracer and image-to-3D model"
-	@echo "make wheel   a wheel for this machine, in dist/"
+	@echo "make wheel   wheels of recast-sim (for this machine) and recast-bridges, in dist/"
+	@echo "make sizes   lines, files and median of each package"
 	@echo "make clean   remove $(VENV) and build folders"
 
 setup: $(VENV)/.ready
@@ -43,14 +45,15 @@ setup: $(VENV)/.ready
 # uv resolves in seconds where pip needs minutes; pip stands in where uv cannot be had.
 # uv does not read pip's settings, hence the link folder by name. Compiled once here, the packages
 # import in a third of the time wherever Python is told not to write bytecode.
-$(VENV)/.ready: pyproject.toml constraints.txt $(NATIVE)
+$(VENV)/.ready: pyproject.toml bridges/pyproject.toml tools/pyproject.toml constraints.txt $(NATIVE)
 	$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "recast needs Python 3.11 or newer")'
 	test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
 	if test -x $(BIN)/uv || $(BIN)/python -m pip install -q uv; then \
 	  UV_FIND_LINKS="$${UV_FIND_LINKS:-$${PIP_FIND_LINKS:-}}" $(BIN)/uv pip install -q \
-	    --compile-bytecode --python $(BIN)/python -c constraints.txt --reinstall-package recast-sim -e '.[dev]'; \
+	    --compile-bytecode --python $(BIN)/python -c constraints.txt --reinstall-package recast-sim --reinstall-package recast-bridges --reinstall-package recast-tools \
+	    -e '.[dev]' -e 'bridges[alpasim]' -e tools; \
 	else \
-	  $(BIN)/python -m pip install -q -c constraints.txt -e '.[dev]'; \
+	  $(BIN)/python -m pip install -q -c constraints.txt -e '.[dev]' -e 'bridges[alpasim]' -e tools; \
 	fi
 	touch $@
 
@@ -106,12 +109,17 @@ bench: setup
 
 # The build has its own environment; its packages are found as those of `setup` are.
 wheel: setup
-	rm -f dist/recast_sim-*.whl
+	rm -f dist/recast_*.whl
 	if test -x $(BIN)/uv; then \
-	  UV_FIND_LINKS="$${UV_FIND_LINKS:-$${PIP_FIND_LINKS:-}}" $(BIN)/uv build --wheel --out-dir dist .; \
+	  export UV_FIND_LINKS="$${UV_FIND_LINKS:-$${PIP_FIND_LINKS:-}}"; \
+	  $(BIN)/uv build --wheel --out-dir dist . && $(BIN)/uv build --wheel --out-dir dist bridges; \
 	else \
-	  $(BIN)/python -m pip wheel -q --no-deps --wheel-dir dist .; \
+	  $(BIN)/python -m pip wheel -q --no-deps --wheel-dir dist . ./bridges; \
 	fi
+
+# Lines, files and the median lines of a file, of each package.
+sizes:
+	@$(PYTHON) tools/sizes.py $(SIZES)
 
 clean:
 	rm -rf $(VENV) $(ASAM) build .mypy_cache .pytest_cache .ruff_cache .hypothesis .import_linter_cache

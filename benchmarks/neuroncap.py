@@ -33,10 +33,10 @@ from recast.geometry import Polyline, se3
 from recast.logs.types import Trajectory
 from recast.planning import PlannerInput, PlanningContext
 from recast.planning.route import DrivingCommand, ReferenceRoute
-from recast.protocols.neuroncap import NcapService, ncap_app
-from recast.protocols.neuroncap.planner import NeuroNcapPlanner, infer_body
-from recast.protocols.neuroncap.wire import CAMERAS, encode
-from recast.protocols.requests import RenderRequest
+from recast_bridges.neuroncap import NcapService, ncap_app
+from recast_bridges.neuroncap.planner import NeuroNcapPlanner, infer_body
+from recast_bridges.neuroncap.wire import CAMERAS, encode
+from recast_bridges.requests import RenderRequest
 
 POSES = [
     se3.exp([0.1 * view, 0.0, 0.2 * view, 0.0, 0.3 * math.sin(view), 0.0]) for view in range(VIEWS)

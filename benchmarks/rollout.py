@@ -40,8 +40,8 @@ from recast.scene.sky import SkyMap
 from recast.simulation import MOTIONS, RolloutSetup, Timings, run_rollout
 from recast.simulation.scene_renderer import SceneRenderer
 from recast.splats import Gaussians, set_threads
-from recast.studies.gtrs_data.stage import Stage, make_stage
 from recast.synthetic import make_rig
+from recast_tools.planner_data.stage import Stage, make_stage
 
 _GROUND = 1.6
 """Metres of the made-up street's camera above its ground."""

@@ -27,15 +27,15 @@ from raster import street
 
 from recast.cameras import CameraMount, PinholeCamera
 from recast.geometry import se3
-from recast.protocols.alpasim.cameras import camera_message
-from recast.protocols.alpasim.messages import CHANNEL_OPTIONS, SENSORSIM_SERVICES, message, parse
-from recast.protocols.alpasim.poses import pose_pair
-from recast.protocols.alpasim.requests import JPEG, PLANAR, PNG, encode, read_requests
-from recast.protocols.alpasim.server import SensorsimServer, SensorsimService
-from recast.protocols.rendering import ScenePainter, ServedScene
 from recast.scene import StreetScene
 from recast.scene.sky import SkyMap
 from recast.splats import set_threads
+from recast_bridges.alpasim.cameras import camera_message
+from recast_bridges.alpasim.messages import CHANNEL_OPTIONS, SENSORSIM_SERVICES, message, parse
+from recast_bridges.alpasim.poses import pose_pair
+from recast_bridges.alpasim.requests import JPEG, PLANAR, PNG, encode, read_requests
+from recast_bridges.alpasim.server import SensorsimServer, SensorsimService
+from recast_bridges.rendering import ScenePainter, ServedScene
 
 FORMATS = {"png": PNG, "jpeg": JPEG, "planar": PLANAR}
 SCENE = "street"

@@ -8,8 +8,8 @@ import sys
 import numpy as np
 
 from recast.logs import read_log
-from recast.planning.navsim import AgentInput, NavsimPlanner, SensorConfig, Trajectory
 from recast.simulation import MOTIONS, NullRenderer, RolloutSetup, camera_mounts, run_rollout
+from recast_bridges.navsim import AgentInput, NavsimPlanner, SensorConfig, Trajectory
 
 
 class Coasting:

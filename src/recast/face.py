@@ -48,7 +48,7 @@ from recast.scene import (
     resolve_config,
     save_scene,
 )
-from recast.scene.importers import IMPORT_FILE
+from recast.scene.imported import IMPORT_FILE
 from recast.scene.run import CONFIG_FILE
 from recast.simulation import Rollout, load_rollout
 from recast.studies import resolve_bench, run_closed_loop

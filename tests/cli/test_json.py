@@ -274,7 +274,8 @@ def test_vehicles_and_planners(capsys: Capture) -> None:
     from recast.metrics.pairs import Bootstrap
     from recast.studies.actors import ActorEvaluation, TrackResult
     from recast.studies.generation.summary import StudyBlock, StudyDifference, StudyRow
-    from recast.studies.planner_probe import ProbeRow
+    from recast_tools.cli.planner import _probe_rows
+    from recast_tools.planner_probe import ProbeRow
 
     score = CandidateScore(
         outline=0.9, colour=None, lidar=1.0, lidar_median=0.02, free=0.1, total=40.0, fits=True
@@ -297,7 +298,7 @@ def test_vehicles_and_planners(capsys: Capture) -> None:
         vehicles.actor_rows(ActorEvaluation("g", 0, (), {"w": "empty"}, {"psnr": 20.0})),
         vehicles.track_rows([TrackResult("7", 3, {"refined": 25.0}, {"refined": 0.8}, {})]),
         vehicles.study_rows([block]),
-        vehicles.probe_rows([probed, ProbeRow("s", "m", {}, {}, {}, "no road")]),
+        _probe_rows([probed, ProbeRow("s", "m", {}, {}, {}, "no road")]),
     ):
         print_json(rows)
     decoder, text, found = json.JSONDecoder(), capsys.readouterr().out, []

@@ -9,10 +9,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from logs.small_log import small_log
 from recast.cli.main import main
 from recast.logs import DrivingLog, read_log
 from recast.logs.importers import IMPORTERS
+from support.small_log import small_log
 from support.tiny_argoverse2 import LOG
 from support.tiny_argoverse2 import write_tiny_log as write_tiny_argoverse2
 from support.tiny_drive import DRIVE, TinyDrive

@@ -43,7 +43,7 @@ def test_the_simulation_and_a_driver_need_neither_torch_nor_grpc_before_a_sessio
         [sys.executable, "-c", _PLANNERS], capture_output=True, text=True, check=True
     )
     imported = set(done.stdout.split())
-    assert {"recast.simulation", "recast.protocols.alpasim.driver"} <= imported
+    assert {"recast.simulation", "recast_bridges.alpasim.driver"} <= imported
     assert not imported & {"torch", "grpc"}
 
 

@@ -18,16 +18,16 @@ DATA_PAGE = Path(__file__).parents[2] / "docs" / "data.md"
 @pytest.mark.parametrize("kind", KINDS, ids=lambda kind: kind.kind)
 def test_all_code_exists(kind: Registry) -> None:
     readers = {kind.folder, *kind.files.values(), *kind.prefixes.values()} - {""}
-    for name in (*kind.built_in, *readers):
+    for name in (*kind.names(), *readers):
         assert callable(kind.load(name)), name
-    assert kind.experimental <= set(kind.built_in)
+    assert kind.experimental <= set(kind.names())
 
 
 def test_all_files_of_vehicles_are_read() -> None:
     assert set(GENERATORS.files) == set(VEHICLE_SUFFIXES)
 
 
-@pytest.mark.parametrize("name", sorted(IMPORTERS.built_in))
+@pytest.mark.parametrize("name", sorted(IMPORTERS.names()))
 def test_importers_have_one_signature(name: str) -> None:
     parameters = inspect.signature(IMPORTERS.resolve(name)).parameters
     assert list(parameters)[:4] == ["root", "drive", "labels", "cameras"]
@@ -37,6 +37,6 @@ def test_importers_have_one_signature(name: str) -> None:
 
 def test_the_data_page_marks_experimental_importers() -> None:
     sections = re.split(r"^## ", DATA_PAGE.read_text(), flags=re.M)
-    for name in IMPORTERS.built_in:
+    for name in IMPORTERS.names():
         section = next(text for text in sections if f"recast log import {name} " in text)
         assert ("**Experimental" in section) is (name in IMPORTERS.experimental), name

@@ -33,13 +33,17 @@ value = 3
 CUPS = Registry(
     "cup",
     "recast.tests.cups",
-    {"plain": "cup_shelf:Cup"},
     members=("pour", "size"),
     protocol="cups.Cup",
-    folder="cup_shelf:read_folder",
-    files={".cup": "cup_shelf:read_file"},
-    prefixes={"shelf:": "cup_shelf:read_rest"},
 )
+ENTRIES = {
+    "recast.tests.cups": {"plain": "cup_shelf:Cup", "theirs": "cup_shelf:Cup"},
+    "recast.tests.cups.folder": {"any": "cup_shelf:read_folder"},
+    "recast.tests.cups.files": {"cup": "cup_shelf:read_file"},
+    "recast.tests.cups.prefixes": {"shelf": "cup_shelf:read_rest"},
+    "recast.tests.cups.experimental": {"plain": "cup_shelf:Cup"},
+    "recast.tests.pots": {"pour": "cup_shelf:read_rest"},
+}
 
 
 @pytest.fixture(autouse=True)
@@ -50,7 +54,11 @@ def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
     (tmp_path / "plain").mkdir()
     monkeypatch.syspath_prepend(tmp_path)
     monkeypatch.chdir(tmp_path)
-    installed = EntryPoints([EntryPoint("theirs", "cup_shelf:Cup", CUPS.group)])
+    installed = EntryPoints(
+        EntryPoint(name, code, group)
+        for group, named in ENTRIES.items()
+        for name, code in named.items()
+    )
     monkeypatch.setattr(plugins, "entry_points", lambda group: installed.select(group=group))
     yield tmp_path
     sys.modules.pop("cup_shelf", None)
@@ -125,7 +133,7 @@ def test_anything_else_is_one_line(value: Any, message: str) -> None:
 
 
 def test_a_kind_that_reads_nothing_knows_no_places(here: Path) -> None:
-    cups = replace(CUPS, folder="", files={}, prefixes={})
+    cups = replace(CUPS, group="recast.tests.nothing")
     for value in ("mine", here, "a.cup", "far/away", "shelf:x"):
         assert cups.place(value) is None
         with pytest.raises(InputError, match=r"is not known|cannot be imported"):
@@ -133,9 +141,7 @@ def test_a_kind_that_reads_nothing_knows_no_places(here: Path) -> None:
 
 
 def test_a_kind_whose_code_is_the_part() -> None:
-    pots = Registry(
-        "pot", CUPS.group, {"pour": "cup_shelf:read_rest"}, members=("__call__",), makes_parts=False
-    )
+    pots = Registry("pot", "recast.tests.pots", members=("__call__",), makes_parts=False)
     assert pots.resolve("pour")("x").source == pots.resolve("cup_shelf:read_rest")("x").source
     assert pots.resolve(len) is len
     with pytest.raises(InputError, match="made int, which lacks __call__"):
@@ -143,6 +149,22 @@ def test_a_kind_whose_code_is_the_part() -> None:
 
 
 def test_experimental_parts_are_marked() -> None:
-    cups = replace(CUPS, experimental=frozenset({"plain"}))
-    assert cups.labels() == ("plain (experimental)", "theirs")
-    assert cups.names() == ("plain", "theirs")
+    assert CUPS.labels() == ("plain (experimental)", "theirs")
+    assert CUPS.names() == ("plain", "theirs")
+
+
+@pytest.mark.parametrize(
+    ("kind", "name"),
+    [
+        ("importer", "py123d"),
+        ("planner", "navsim:my.module:Agent"),
+        ("planner", "alpasim:localhost:6789"),
+        ("restorer", "harmonizer:localhost:80"),
+    ],
+)
+def test_parts_of_the_bridges_are_named_where_these_are_absent(kind: str, name: str) -> None:
+    absent = Registry(kind, "recast.tests.nothing")
+    with pytest.raises(
+        InputError, match=r"which is not installed; run pip install 'recast-sim\[bridges\]'"
+    ):
+        absent.resolve(name)

@@ -23,7 +23,7 @@ from recast.logs import write_log
 from recast.logs.hdmap import HdMap
 from recast.planning import ConstantVelocity
 from recast.simulation import MOTIONS, Idm, NullRenderer, RolloutSetup, run_rollout
-from simulation.synthetic_drives import drive
+from support.synthetic_drives import drive
 
 ACTORS = {"7": "cut-in-a"}
 MOUNTS = {

@@ -509,7 +509,7 @@ def mutate_zip(data: bytes, rng: Rng) -> bytes:
 
 def mutate_message(data: bytes, rng: Rng) -> bytes:
     """A field of a message AggregatedRenderRequest, or of one in it: changed, dropped, repeated."""
-    from recast.protocols.alpasim.messages import parse
+    from recast_bridges.alpasim.messages import parse
 
     whole = parse("AggregatedRenderRequest", data)
     places: list[tuple[Any, Any]] = []

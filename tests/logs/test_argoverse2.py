@@ -7,12 +7,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from logs.importing import import_drive
 from recast.geometry import boxes, se3
 from recast.logs import DrivingLog, Trajectory, read_log, track_points
 from recast.logs.importers import IMPORTERS
 from recast.logs.importers.argoverse2 import RIG_FROM_EGO, read_tracks
 from support import tiny_argoverse2 as tiny
+from support.importing import import_drive
 from support.street_frame import street_from_world
 
 

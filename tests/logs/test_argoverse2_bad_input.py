@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 from pyarrow import feather
 
-from logs.importing import import_drive
 from recast.core.errors import InputError
 from support import tiny_argoverse2 as tiny
+from support.importing import import_drive
 
 POSES = "city_SE3_egovehicle.feather"
 MAP = f"map/log_map_archive_{tiny.LOG}____PIT_city_1.json"

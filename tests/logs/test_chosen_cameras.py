@@ -10,7 +10,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from logs.importing import import_drive
 from recast.core.errors import InputError
 from recast.logs import read_log
 from recast.logs.importers.waymo_proto import CAMERA_NAME, LASER_NAME, lidar_name
@@ -22,6 +21,7 @@ from support import (
     tiny_waymo,
     tiny_waymo2,
 )
+from support.importing import import_drive
 
 WRITE: dict[str, tuple[Callable[[Path], object], str]] = {
     "argoverse2": (tiny_argoverse2.write_tiny_log, tiny_argoverse2.LOG),

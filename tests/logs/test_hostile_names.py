@@ -12,12 +12,12 @@ import pytest
 from ncore.data.v4 import SequenceComponentGroupsReader, SequenceLoaderV4
 from rich.console import Console
 
-from logs.importing import import_drive
-from logs.small_log import small_log
 from recast.cli.rows.logs import log_info_tables
 from recast.core.errors import InputError
 from recast.core.names import folder_name
 from recast.logs import DrivingLog, Track, Trajectory, log_info, read_log, write_log
+from support.importing import import_drive
+from support.small_log import small_log
 from support.tiny_drive import DRIVE, TinyDrive
 
 HOSTILE = [

@@ -17,9 +17,9 @@ import numcodecs
 import numpy as np
 import pytest
 
-from logs.small_log import small_log
 from recast.core.errors import InputError
 from recast.logs import DrivingLog, read_log, write_log
+from support.small_log import small_log
 
 MAIN, CAMERA, LIDAR = (f"log.ncore4{part}.zarr.itar" for part in ("", "-front", "-top"))
 Meta = dict[str, Any]

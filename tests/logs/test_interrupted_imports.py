@@ -9,7 +9,6 @@ from pathlib import Path
 
 import pytest
 
-from logs.importing import import_drive
 from recast.core.errors import InputError
 from recast.logs import read_log
 from recast.logs.importers import IMPORTERS
@@ -22,6 +21,7 @@ from support import (
     tiny_waymo,
     tiny_waymo2,
 )
+from support.importing import import_drive
 
 Import = Callable[..., None]
 """Import into a folder, with a progress callback."""
@@ -58,7 +58,7 @@ WITHOUT_FRAMES = {"alpasim"}
 """Importers that write no image and no sweep, between which they could end."""
 
 
-@pytest.mark.parametrize("name", sorted(set(IMPORTERS.built_in) - WITHOUT_FRAMES))
+@pytest.mark.parametrize("name", sorted(set(IMPORTERS.names()) - WITHOUT_FRAMES))
 def test_an_import_that_ends_midway_leaves_nothing(
     name: str, tmp_path: Path, request: pytest.FixtureRequest
 ) -> None:

@@ -12,16 +12,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from logs.importing import import_drive
-from logs.small_log import small_log
 from recast.core.errors import InputError
 from recast.logs import write_log
+from support.importing import import_drive
 from support.moments import (
     changes_of,
     killed_before,
     said_on_a_full_disk,
     said_on_a_read_only_disk,
 )
+from support.small_log import small_log
 from support.tiny_drive import DRIVE, TinyDrive
 
 pytestmark = pytest.mark.skipif(not hasattr(os, "fork"), reason="moments are tried in a fork")

@@ -10,10 +10,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from logs.importing import import_drive
 from recast.core.errors import InputError
 from recast.logs.importers.kitti import load_kitti
 from support import tiny_drive as tiny
+from support.importing import import_drive
 
 Damage = Callable[[tiny.TinyDrive], object]
 

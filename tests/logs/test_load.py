@@ -10,10 +10,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from logs.small_log import small_log
 from recast.core.errors import InputError
 from recast.logs import DrivingLog, load_log, read_log, write_log
 from support import tiny_argoverse2 as tiny
+from support.small_log import small_log
 from support.tiny_drive import DRIVE, TinyDrive
 
 

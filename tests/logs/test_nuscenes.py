@@ -10,13 +10,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from logs.importing import import_drive
 from recast.geometry import boxes, se3
 from recast.logs import DrivingLog, read_log, track_points
 from recast.logs.derive_map import map_of
 from recast.logs.importers.nuscenes import load_nuscenes
 from recast.logs.importers.nuscenes_tables import stream_rows
 from support import tiny_nuscenes as tiny
+from support.importing import import_drive
 from support.street_frame import street_from_world
 
 

@@ -9,9 +9,9 @@ from typing import Any
 
 import pytest
 
-from logs.importing import import_drive
 from recast.core.errors import InputError
 from support import tiny_nuscenes as tiny
+from support.importing import import_drive
 
 Damage = Callable[[Path], object]
 KEY = f"samples/CAM_FRONT/n015__CAM_FRONT__{tiny.START_US}.jpg"

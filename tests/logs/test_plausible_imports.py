@@ -14,7 +14,7 @@ from PIL import Image
 from recast.core.errors import InputError
 from recast.geometry import se3
 from recast.logs import load_log, plausibility
-from recast.logs.importers.processed_folder import read_cameras
+from recast_bridges.logs.processed_folder import read_cameras
 from support import tiny_drive, tiny_processed
 from support import tiny_nuscenes as nuscenes
 from support.tiny_drive import DRIVE, TinyDrive

@@ -14,12 +14,12 @@ from fsspec.implementations.memory import MemoryFileSystem
 from moto.server import ThreadedMotoServer
 from upath import UPath
 
-from logs.small_log import small_log
 from recast.cli.main import main
 from recast.core.errors import InputError
 from recast.core.remote import CACHE_VARIABLE, cache_folder
 from recast.logs import load_log, write_log
 from recast.logs.load import local_folder
+from support.small_log import small_log
 
 ADDRESS = "memory://bucket/drive"
 

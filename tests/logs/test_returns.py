@@ -11,10 +11,10 @@ import numpy as np
 import pytest
 from pyarrow import feather
 
-from logs.small_log import small_log
 from recast.logs import DrivingLog, LidarSweep, load_log, read_log, write_log
 from recast.logs.importers.common import are_returns, unit_intensity
 from support import tiny_argoverse2, tiny_drive, tiny_nuscenes, tiny_processed, tiny_py123d
+from support.small_log import small_log
 
 Change = Callable[[np.ndarray], None]
 """Writes another value into the places (N, 3) of points."""

@@ -12,10 +12,10 @@ import numpy as np
 import pytest
 from ncore.data.v4 import SequenceComponentGroupsReader, SequenceLoaderV4
 
-from logs.small_log import small_log
 from recast.core.errors import InputError
 from recast.geometry import se3
 from recast.logs import DrivingLog, read_log, write_log
+from support.small_log import small_log
 
 
 @pytest.fixture

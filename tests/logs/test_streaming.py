@@ -12,7 +12,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from logs.importing import import_drive
 from recast.cameras import PinholeCamera
 from recast.cli.main import main
 from recast.logs import (
@@ -25,6 +24,7 @@ from recast.logs import (
     write_log,
 )
 from support import tiny_argoverse2 as tiny
+from support.importing import import_drive
 
 FRAMES, IMAGE_BYTES, POINTS = 20, 300_000, 5_000
 ALL_BYTES = FRAMES * (IMAGE_BYTES + 12 * POINTS)

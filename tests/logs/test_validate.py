@@ -9,10 +9,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from logs.small_log import small_log
 from recast.core.errors import InputError
 from recast.logs import DrivingLog, HdMap, LidarSweep, Track, Trajectory, write_log
 from recast.logs.hdmap import GroundHeight
+from support.small_log import small_log
 
 Change = Callable[[DrivingLog], DrivingLog]
 

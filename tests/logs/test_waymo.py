@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 import shapely
 
-from logs.importing import import_drive
 from recast.geometry import boxes, se3
 from recast.logs import DrivingLog, read_log
 from recast.logs.importers.waymo import load_waymo
@@ -18,6 +17,7 @@ from recast.logs.importers.waymo_proto import lidar_name
 from recast.logs.importers.waymo_segment import LaserCalibration
 from recast.logs.importers.waymo_sensors import beams, range_image_points
 from support import tiny_waymo as tiny
+from support.importing import import_drive
 
 
 @pytest.fixture(scope="module")

@@ -8,12 +8,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from logs.importing import import_drive
 from recast.logs import DrivingLog, read_log
 from recast.logs.importers.waymo import load_waymo2
 from recast.logs.importers.waymo2_segment import RowReader
 from support import tiny_waymo as tiny
 from support import tiny_waymo2 as tiny2
+from support.importing import import_drive
 
 
 @pytest.fixture(scope="module")

@@ -10,10 +10,10 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 
-from logs.importing import import_drive
 from recast.core.errors import InputError
 from support import tiny_waymo as tiny
 from support import tiny_waymo2 as tiny2
+from support.importing import import_drive
 
 FRAME, CAMERA, LASER = tiny2.FRAME, tiny2.CAMERA, tiny2.LASER
 IMAGE, LIDAR = "[CameraImageComponent]", "[LiDARComponent]"

@@ -9,10 +9,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from logs.importing import import_drive
 from recast.core.errors import InputError
 from recast.logs.importers.waymo_proto import decode
 from support import tiny_waymo as tiny
+from support.importing import import_drive
 from support.proto_writer import (
     blob,
     double,

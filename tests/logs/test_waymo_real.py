@@ -9,13 +9,13 @@ import pytest
 import shapely
 from google.protobuf import descriptor_pb2, descriptor_pool, message, message_factory
 
-from logs.importing import import_drive
 from recast.geometry import boxes, se3
 from recast.logs import DrivingLog, read_log
 from recast.logs.importers.waymo import load_waymo
 from recast.logs.importers.waymo_proto import CAMERA_NAME, decode
 from recast.logs.importers.waymo_tfrecord import read_records
 from support import proto_writer
+from support.importing import import_drive
 
 FRAME_FILE, SCENARIO_FILE = "pvps_data_one_frame.tfrecord", "motion_data_one_scenario.tfrecord"
 

@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 
 from recast.core import plugins
+from recast.core.artefact import files_hash, folder_hash
 from recast.core.errors import InputError
 from recast.planning import (
     PLANNERS,
@@ -15,7 +16,7 @@ from recast.planning import (
     make_planner,
     planner_device,
     planner_folder,
-    planner_source_files,
+    planner_source,
     shipped_folder,
 )
 
@@ -151,13 +152,13 @@ class Agent:
 
 
 def test_the_files_behind_a_name(plugin: str, tmp_path: Path) -> None:
-    mine = (tmp_path / f"{plugin}.py",)
-    assert planner_source_files(f"{plugin}:Mine") == mine
-    assert planner_source_files(f"navsim:{plugin}:Agent") == mine
-    assert planner_source_files("idm-follower") == planner_source_files("gtrs-mini") == ()
-    assert planner_source_files(str(tmp_path)) == ()
+    mine = files_hash([tmp_path / f"{plugin}.py"], tmp_path)
+    assert PLANNERS.source(f"{plugin}:Mine") == f"{plugin}:Mine {mine}"
+    assert PLANNERS.source(f"navsim:{plugin}:Agent") == f"navsim:{plugin}:Agent {mine}"
+    assert planner_source("idm-follower") == "idm-follower"
+    assert planner_source("gtrs-mini") == folder_hash(shipped_folder("gtrs-mini"))
     with pytest.raises(InputError, match="gtsr: is not known"):
-        planner_source_files("gtsr")
+        planner_source("gtsr")
 
 
 @pytest.mark.parametrize(("gpus", "expected"), [(0, "cpu"), (2, "cuda")])

@@ -18,12 +18,12 @@ from recast.recar.perturb import read_perturbations
 from recast.recar.screening import Screening
 from recast.recar.shards import pack_set, read_shards
 from recast.recar.targets import TargetCache
-from recast.recar.training.asset_synthesis import AssetsRecord, make_assets
 from recast.recar.training.output import read_training_record
 from recast.recar.training.stage_config import read_stage_config
 from recast.training.loop import train
 from recast.training.state import STATE_FILE, steps_done
 from recast.training.task import read_log_lines
+from recast_tools.small_model.asset_synthesis import AssetsRecord, make_assets
 from support.crops import write_crops
 from support.line_task import SETTINGS, Line
 

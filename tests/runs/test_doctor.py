@@ -46,9 +46,9 @@ def test_experimental_importers_are_marked() -> None:
 
 
 def test_the_names_of_built_in_parts_are_those_that_the_rest_uses() -> None:
-    assert GTRS_MINI in PLANNERS.built_in
-    assert DEFAULT_GENERATOR in GENERATORS.built_in
-    assert DEFAULT_SEGMENTER in SEGMENTERS.built_in
+    assert GTRS_MINI in PLANNERS.names()
+    assert DEFAULT_GENERATOR in GENERATORS.names()
+    assert DEFAULT_SEGMENTER in SEGMENTERS.names()
 
 
 def test_a_missing_package_says_how_to_get_it(monkeypatch: pytest.MonkeyPatch) -> None:

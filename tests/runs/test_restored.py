@@ -15,7 +15,6 @@ from recast.cameras import CameraMount
 from recast.cli.main import main
 from recast.core.errors import InputError, UnreachableError
 from recast.planning import ConstantVelocity
-from recast.protocols.neuroncap import planner as ncap_planner
 from recast.runs.config import RunConfig, resolve_config
 from recast.runs.report_parts import facts
 from recast.runs.rollouts import is_failure, make_rollout, read_rollout
@@ -23,6 +22,7 @@ from recast.runs.sources import Sources
 from recast.simulation import MOTIONS, RolloutFailure, RolloutSetup
 from recast.simulation.restoring import Restorer, RestoringRenderer
 from recast.simulation.scene_renderer import SceneRenderer
+from recast_bridges.neuroncap import planner as ncap_planner
 from support.fake_neuroncap import image_of, planning
 from support.tiny_served import CAMERA, MOVING, RIG_FROM_CAMERA, make_log, make_scene
 

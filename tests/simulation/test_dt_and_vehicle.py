@@ -8,7 +8,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from moved_worlds import curved_world
-from synthetic_drives import drive
 
 from recast.core.errors import InputError
 from recast.dynamics import PACIFICA, VehicleParameters
@@ -35,6 +34,7 @@ from recast.simulation import (
     Stationary,
     run_rollout,
 )
+from support.synthetic_drives import drive
 
 TRUCK = VehicleParameters(width=2.5, front_length=9.0, rear_length=3.0, wheelbase=6.5)
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import replace
 
 import pytest
-from synthetic_drives import drive
 
 from recast.planning import ConstantVelocity, Plan, PlannerInput
 from recast.simulation import (
@@ -17,6 +16,7 @@ from recast.simulation import (
     run_rollout,
 )
 from recast.simulation.running import TRACEBACK_LIMIT
+from support.synthetic_drives import drive
 
 
 class Failing(ConstantVelocity):

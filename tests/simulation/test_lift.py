@@ -4,13 +4,13 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from synthetic_drives import drive
 
 from recast.geometry import boxes, se2, se3
 from recast.logs.hdmap import GroundHeight
 from recast.logs.types import DrivingLog
 from recast.planning import ReferenceRoute
 from recast.simulation import RoadSurface
+from support.synthetic_drives import drive
 
 SIZE = np.array([4.0, 2.0, 1.6])
 

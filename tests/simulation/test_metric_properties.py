@@ -10,7 +10,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from moved_worlds import curved_world, mirrored, mirrored_states, moved
-from synthetic_drives import drive
 
 from recast.geometry import se2
 from recast.metrics import rollout_metrics
@@ -25,6 +24,7 @@ from recast.simulation import (
     Stationary,
     run_rollout,
 )
+from support.synthetic_drives import drive
 
 Make = Callable[[], Planner]
 

@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from synthetic_drives import drive
 
 from recast.geometry import se2
 from recast.planning import ReferenceRoute
 from recast.simulation import MOTIONS, ScriptMotion, StartSituation
+from support.synthetic_drives import drive
 
 STEPS, DT = 160, 0.1
 EGO_LENGTH, EGO_S = 5.176, 20.0

@@ -4,13 +4,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from synthetic_drives import drive
 
 from recast.geometry import se2
 from recast.logs.hdmap import HdMap, Lane
 from recast.logs.types import DrivingLog, Track, Trajectory
 from recast.planning import ReferenceRoute
 from recast.simulation.actor_motion import neighbour_lateral
+from support.synthetic_drives import drive
 
 
 def log_with(*offsets: float, speed: float = 8.0, heading: float = 0.0) -> DrivingLog:

@@ -4,13 +4,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from synthetic_drives import drive
 
 from recast.core.errors import InputError
 from recast.dynamics import VehicleParameters
 from recast.geometry import boxes
 from recast.logs.hdmap import HdMap, Lane
 from recast.simulation import MOTIONS, RolloutSetup, StartSituation, ego_centre, prepare
+from support.synthetic_drives import drive
 
 
 def test_the_gap_is_from_bumper_to_bumper() -> None:

@@ -9,7 +9,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
-from synthetic_drives import drive
 
 from recast.core.errors import InputError
 from recast.geometry import boxes, se2
@@ -30,6 +29,7 @@ from recast.simulation import LogReplay as Replay
 from recast.simulation.actor_motion import Scripted
 from recast.simulation.actors import ControlledActors
 from recast.simulation.rollout_start import start_rollout
+from support.synthetic_drives import drive
 
 DT = 0.1
 

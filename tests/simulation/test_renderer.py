@@ -6,7 +6,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
-from synthetic_drives import drive
 
 from recast.cameras import PinholeCamera
 from recast.core.errors import InputError
@@ -26,6 +25,7 @@ from recast.simulation import (
 )
 from recast.simulation.scene_renderer import SceneRenderer, through_lenses
 from recast.splats import Gaussians
+from support.synthetic_drives import drive
 
 CAMERA = PinholeCamera(64, 48, 40.0, 40.0, 32.0, 24.0)
 # optical axis along the rig's x, 1.5 m above the ground

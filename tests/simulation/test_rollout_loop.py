@@ -8,7 +8,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from synthetic_drives import drive
 
 from recast.cameras import CameraMount, PinholeCamera, View
 from recast.core.errors import InputError
@@ -35,6 +34,7 @@ from recast.simulation import (
     save_rollout,
 )
 from recast.simulation.planner_calls import PlannerCalls
+from support.synthetic_drives import drive
 
 MOUNTS = {
     "front": CameraMount(PinholeCamera(8, 4, 5.0, 5.0, 4.0, 2.0), np.eye(4)),

@@ -5,7 +5,6 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
-from synthetic_drives import drive
 from test_reactive_motions import line, with_track
 
 from recast.core.errors import InputError
@@ -31,6 +30,7 @@ from recast.simulation import (
     scenario_record,
     target_motion,
 )
+from support.synthetic_drives import drive
 
 GOOD = """\
 version: 1

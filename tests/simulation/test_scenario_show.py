@@ -5,7 +5,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 from rich.console import Console
-from synthetic_drives import drive
 
 from recast.cli.rows.scenario_list import list_scenarios
 from recast.cli.rows.scenarios import place_scenarios, show_scenarios
@@ -15,6 +14,7 @@ from recast.logs.hdmap import HdMap
 from recast.reporting.canvas import Canvas, View
 from recast.reporting.scenario_preview import draw_scenarios, facts_table, notes, scenario_facts
 from recast.simulation import MOTIONS, RolloutSetup, prepare
+from support.synthetic_drives import drive
 
 
 def setup_of(name: str, seconds: float = 20.0, hdmap: HdMap | None = None) -> RolloutSetup:

@@ -8,7 +8,6 @@ from pathlib import Path
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
-from synthetic_drives import drive
 from test_reactive_motions import Bad, line, with_track
 from test_rollout_loop import CountingRenderer, Recorder
 
@@ -31,6 +30,7 @@ from recast.simulation import (
     save_rollout,
 )
 from recast.simulation.coverage import rollout_coverage
+from support.synthetic_drives import drive
 
 ACTORS = {
     "lead": Idm("lead", speed=0.5, gap=45.0),

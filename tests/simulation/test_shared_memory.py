@@ -17,7 +17,6 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
-from synthetic_drives import drive
 
 from recast.cameras import CameraMount, PinholeCamera
 from recast.core.errors import InputError
@@ -38,6 +37,7 @@ from recast.simulation import (
 )
 from recast.simulation.planner_calls import PlannerProcess
 from support.rude_planners import Does, Drawn, Moods, OneArray, spoil
+from support.synthetic_drives import drive
 
 LOG = drive(seconds=8)
 SETUP = RolloutSetup(LOG, "7", MOTIONS["cut-in-a"], steps=20, map=map_of(LOG))

@@ -8,7 +8,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from synthetic_drives import drive
 from test_renderer import log_with_camera, scene  # noqa: F401
 
 from recast.cameras import CameraMount, PinholeCamera
@@ -37,6 +36,7 @@ from recast.simulation import (
     run_rollout,
     save_rollout,
 )
+from support.synthetic_drives import drive
 
 MOUNTS = {"front": CameraMount(PinholeCamera(8, 4, 5.0, 5.0, 4.0, 2.0), np.eye(4))}
 

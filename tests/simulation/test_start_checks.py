@@ -5,12 +5,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from moved_worlds import curved_world, moved
-from synthetic_drives import drive
 
 from recast.core.errors import InputError
 from recast.logs.hdmap import HdMap
 from recast.planning.pdm import PdmClosedPlanner
 from recast.simulation import MOTIONS, RolloutSetup, prepare, run_rollout
+from support.synthetic_drives import drive
 
 
 def road(left: float, right: float) -> HdMap:

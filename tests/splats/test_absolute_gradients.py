@@ -4,7 +4,10 @@ from __future__ import annotations
 
 import pytest
 import torch
-from tests.splats.scenes import (
+from tests.splats.test_native_rasterizer import check
+
+from recast.splats import Gaussians, RasterMeta, native, rasterize
+from support.splat_scenes import (
     HEIGHT,
     KINDS,
     WIDTH,
@@ -14,9 +17,6 @@ from tests.splats.scenes import (
     relative_error,
     render_with_gradients,
 )
-from tests.splats.test_native_rasterizer import check
-
-from recast.splats import Gaussians, RasterMeta, native, rasterize
 
 BACKENDS = ("native", "reference")
 SMALL = torch.tensor([[6.0, 0, 4], [0, 6.2, 3], [0, 0, 1]])

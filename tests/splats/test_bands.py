@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import pytest
 import torch
-from tests.splats.scenes import HEIGHT, WIDTH, K, camera, random_gaussians, render_with_gradients
 
 from recast.splats import Gaussians, rasterize
 from recast.splats.native import rasterizer
 from recast.splats.native.rasterizer import Workspace, free_memory
 from recast.splats.rasterization import RasterMeta, check_settings
+from support.splat_scenes import HEIGHT, WIDTH, K, camera, random_gaussians, render_with_gradients
 
 ROUNDING = 1e-5
 """Of sums of some thousand terms in float32, added in another order, relative to the largest."""

@@ -11,7 +11,10 @@ from types import ModuleType
 
 import pytest
 import torch
-from tests.splats.scenes import (
+
+from recast.core.errors import InputError
+from recast.splats import Gaussians, cuda, pick_device, rasterize
+from support.splat_scenes import (
     HEIGHT,
     KINDS,
     WIDTH,
@@ -22,10 +25,7 @@ from tests.splats.scenes import (
     relative_error,
     render_with_gradients,
 )
-from tests.splats.stand_in_gsplat import install
-
-from recast.core.errors import InputError
-from recast.splats import Gaussians, cuda, pick_device, rasterize
+from support.stand_in_gsplat import install
 
 RASTERIZE = sys.modules["recast.splats.rasterize"]  # the function hides its module
 OPTIONS: dict[str, dict[str, object]] = {

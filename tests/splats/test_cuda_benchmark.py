@@ -10,7 +10,8 @@ from types import ModuleType
 
 import pytest
 import torch
-from tests.splats.stand_in_gsplat import install
+
+from support.stand_in_gsplat import install
 
 FOLDER = Path(__file__).resolve().parents[2] / "benchmarks"
 

@@ -7,7 +7,6 @@ from functools import partial
 
 import pytest
 import torch
-from tests.splats.scenes import HEIGHT, KINDS, WIDTH, K, camera, random_gaussians
 from torch import Tensor
 
 from recast.splats import (
@@ -27,6 +26,7 @@ from recast.splats import (
 )
 from recast.splats.gaussians import quat_to_matrix
 from recast.splats.native import rasterizer
+from support.splat_scenes import HEIGHT, KINDS, WIDTH, K, camera, random_gaussians
 
 EYE = torch.eye(4, dtype=torch.float64)
 GREY_LEVEL = 1 / 255

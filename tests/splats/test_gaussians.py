@@ -9,11 +9,11 @@ import pytest
 import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from tests.splats.scenes import HEIGHT, WIDTH, K, camera, random_gaussians
 
 from recast.geometry import se3
 from recast.splats import Gaussians, concatenate, morton_order, rasterize, sh
 from recast.splats.gaussians import matrix_to_quat, quat_multiply, quat_to_matrix
+from support.splat_scenes import HEIGHT, WIDTH, K, camera, random_gaussians
 
 quaternions = st.lists(st.floats(-1, 1), min_size=4, max_size=4).filter(
     lambda q: math.hypot(*q) > 0.1

@@ -8,7 +8,9 @@ from functools import lru_cache
 
 import pytest
 import torch
-from tests.splats.scenes import (
+
+from recast.splats import Gaussians, native, rasterize
+from support.splat_scenes import (
     HEIGHT,
     KINDS,
     WIDTH,
@@ -19,8 +21,6 @@ from tests.splats.scenes import (
     relative_error,
     render_with_gradients,
 )
-
-from recast.splats import Gaussians, native, rasterize
 
 OPTIONS: dict[str, dict[str, object]] = {
     "classic": {},

@@ -8,12 +8,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from tests.splats.scenes import random_gaussians
 
 from recast.core.errors import InputError
 from recast.splats import MIP, Gaussians, read_ply, write_ply
 from recast.splats.ply import read_low_pass
 from recast.splats.sh import C0
+from support.splat_scenes import random_gaussians
 
 
 def equal(a: Gaussians, b: Gaussians) -> bool:

@@ -7,10 +7,10 @@ import warnings
 
 import pytest
 import torch
-from tests.splats.scenes import HEIGHT, WIDTH, K, camera, random_gaussians
 
 from recast import kernel
 from recast.splats import Gaussians, native, rasterize
+from support.splat_scenes import HEIGHT, WIDTH, K, camera, random_gaussians
 
 
 @pytest.mark.parametrize("backend", ["native", "reference"])

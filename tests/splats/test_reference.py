@@ -6,10 +6,10 @@ import math
 
 import pytest
 import torch
-from tests.splats.scenes import HEIGHT, WIDTH, camera, random_gaussians
 
 from recast.splats import Gaussians, rasterize
 from recast.splats.sh import C0
+from support.splat_scenes import HEIGHT, WIDTH, camera, random_gaussians
 
 # The middle of the view is the centre of pixel (44, 31).
 CENTRED = torch.tensor([[70.0, 0, 44.5], [0, 72, 31.5], [0, 0, 1]])

@@ -10,7 +10,6 @@ import numpy as np
 from recast.arrays import Image
 from recast.logs.types import DrivingLog
 from recast.planning import Planner
-from recast.protocols.alpasim.driver import AlpaSimDriver
 from recast.simulation import (
     MOTIONS,
     Rollout,
@@ -21,7 +20,8 @@ from recast.simulation import (
     run_rollout,
 )
 from recast.simulation.renderer import Mounted
-from simulation.synthetic_drives import drive
+from recast_bridges.alpasim.driver import AlpaSimDriver
+from support.synthetic_drives import drive
 
 QUICK = (0.05, 0.05)
 """Seconds before each further try of a call."""

@@ -12,11 +12,11 @@ import torch
 from recast.cameras import CameraMount, PinholeCamera
 from recast.geometry import se3
 from recast.logs.types import CameraStream, DrivingLog, Track, Trajectory
-from recast.protocols.alpasim.server import SensorsimServer, SensorsimService
-from recast.protocols.rendering import ScenePainter, ServedScene, Unnamed
 from recast.scene.sky import SkyMap
 from recast.scene.street_scene import SceneActor, StreetScene
 from recast.splats import Gaussians
+from recast_bridges.alpasim.server import SensorsimServer, SensorsimService
+from recast_bridges.rendering import ScenePainter, ServedScene, Unnamed
 
 SCENE = "drive"
 MOVING, PARKED = "car-a", "car-b"

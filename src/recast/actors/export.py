@@ -7,9 +7,9 @@ from pathlib import Path
 
 from recast.actors.actor import Actor
 from recast.core.files import atomic_folder, write_json
-from recast.scene.export import CONVENTIONS, GAUSSIANS
+from recast.scene.export import CONVENTIONS
 from recast.splats import Gaussians, LowPass
-from recast.splats.formats import FORMATS, FormatName, write_gaussians
+from recast.splats.formats import format_named, write_gaussians
 
 EXPORT_VERSION = 1
 EXPORT_FORMAT = "recast-actor-export"
@@ -17,7 +17,7 @@ RECORD_FILE, VEHICLE, SHADOW = "actor.json", "vehicle", "shadow"
 _CONVENTIONS = ("units", "actor", "low_pass")
 
 
-def export_actor(actor: Actor, folder: str | Path, splat_format: FormatName = "ply") -> None:
+def export_actor(actor: Actor, folder: str | Path, splat_format: str = "ply") -> None:
     """Write the vehicle, the shadow if there is one, and actor.json with size and conventions.
 
     Args:
@@ -27,7 +27,7 @@ def export_actor(actor: Actor, folder: str | Path, splat_format: FormatName = "p
     Raises:
         InputError: `folder` exists, or the disk is full.
     """
-    suffix = FORMATS[splat_format].suffix
+    suffix = format_named(splat_format).suffix
     parts: dict[str, tuple[Gaussians, LowPass | None]] = {
         VEHICLE: (actor.gaussians, actor.low_pass)
     }
@@ -43,7 +43,7 @@ def export_actor(actor: Actor, folder: str | Path, splat_format: FormatName = "p
         "low_pass": asdict(actor.low_pass),
         "splat_format": splat_format,
         **{name: f"{name}{suffix}" for name in parts},
-        "conventions": conventions | {"gaussians": GAUSSIANS[splat_format]},
+        "conventions": conventions | {"gaussians": format_named(splat_format).contents},
     }
     with atomic_folder(folder) as partial:
         for name, (gaussians, low_pass) in parts.items():

@@ -12,8 +12,8 @@ from recast.actors.icp import outer_surface
 from recast.actors.observation import Observation
 from recast.core.errors import InputError
 from recast.splats import CLASSIC, MIP, Gaussians, LowPass
-from recast.splats.formats import FORMATS, SPLAT_SUFFIXES, format_of
-from recast.splats.formats.gltf import has_gaussians
+from recast.splats.formats import GLTF, format_of, splat_suffixes
+from recast.splats.gltf import has_gaussians
 
 # Of the published decoder of TRELLIS, in unit cubes (rounded up by what float32 and text lose).
 _PER_VOXEL, _LARGEST_SPREAD, _LEAST_DEVIATION = 32, 1.5 / 64 + 1e-5, 9e-4
@@ -26,7 +26,7 @@ def holds_gaussians(path: Path) -> bool:
         InputError: a GLB cannot be opened.
     """
     suffix = path.suffix.lower()
-    return has_gaussians(path) if suffix == FORMATS["gltf"].suffix else suffix in SPLAT_SUFFIXES
+    return has_gaussians(path) if suffix == GLTF.suffix else suffix in splat_suffixes()
 
 
 class SplatGenerator:
@@ -50,7 +50,7 @@ class SplatGenerator:
     ) -> None:
         self.path, self.low_pass = Path(path), low_pass
         self.format = format_of(path)
-        self.name: str = next(name for name, one in FORMATS.items() if one is self.format)
+        self.name: str = self.format.name
         self.axes = axes_of(axes) if isinstance(axes, str) and axes != AUTO else axes
 
     def generate(self, observation: Observation, seed: int) -> Asset:

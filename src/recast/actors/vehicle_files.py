@@ -24,12 +24,12 @@ from recast.core import files
 from recast.core.arguments import checked
 from recast.core.errors import InputError
 from recast.core.images import decode_image
+from recast.core.plugins import GENERATORS
 from recast.core.records import Record, read_record
 from recast.core.torch_file import read_safetensors
 from recast.logs import Trajectory
 from recast.logs.images import encode
 from recast.splats import Gaussians, LowPass, read_ply, write_ply
-from recast.splats.formats import SPLAT_SUFFIXES
 
 ACTOR_VERSION = 2
 ACTOR_FILE = "actor.json"
@@ -43,7 +43,7 @@ SOURCE_PIXELS = 1 << 26
 
 _MEND = "generate the actor again with this version of recast"
 _FIELDS = ("means", "quats", "log_scales", "logit_opacities", "sh")
-VEHICLE_SUFFIXES = tuple(dict.fromkeys((".ply", *MESH_SUFFIXES, *SPLAT_SUFFIXES)))
+VEHICLE_SUFFIXES = tuple(dict.fromkeys((".ply", *MESH_SUFFIXES, *sorted(GENERATORS.files))))
 """Ends of the names of files that hold a vehicle, in lower case."""
 
 

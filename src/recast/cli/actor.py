@@ -199,6 +199,7 @@ class Export:
 
 
 Actor = shared.group(
+    "actor",
     "Make, film, draw or export a view-complete vehicle.",
     {"make": Make, "generate": Generate, "turntable": Turntable, "show": Show, "export": Export},
 )

@@ -258,6 +258,7 @@ class Trust:
 
 
 Bench = shared.group(
+    "bench",
     "Run a whole experiment of the paper over scenes, motions and arms, or calibrate on one.",
     {"closed-loop": ClosedLoop, "scene-level": SceneLevel, "trust": Trust},
 )

@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import tyro
 
 from recast.cli import shared
-from recast.cli.eval_rollouts import EvalRollouts
 from recast.cli.output import JSON, console_for, print_json
 
 if TYPE_CHECKING:
@@ -273,11 +272,11 @@ def _perturbations(what: str | None) -> PerturbationConfig | None:
 
 
 Eval = shared.group(
-    "Evaluate generators of vehicles on held-out pictures, and rollouts by other benchmarks.",
+    "eval",
+    "Evaluate generators of vehicles on held-out pictures; recast-bridges scores rollouts.",
     {
         "actor": EvalActor,
         "generation": EvalGeneration,
         "inputs": EvalInputs,
-        "rollouts": EvalRollouts,
     },
 )

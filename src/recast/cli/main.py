@@ -28,17 +28,16 @@ from recast.cli.eval import Eval
 from recast.cli.log import Log
 from recast.cli.machine import Doctor, Weights
 from recast.cli.output import line_of
-from recast.cli.planner import Planner
 from recast.cli.recar import Recar
 from recast.cli.run import Demo, Report, Run, View
 from recast.cli.scenario import Scenario
 from recast.cli.scene import Scene
-from recast.cli.serve import Serve
 from recast.cli.store import Store
 from recast.cli.trellis import Trellis
 from recast.core import diagnostics, files
 from recast.core.diagnostics import Diagnostics
 from recast.core.errors import InputError, nearest
+from recast.core.plugins import BRIDGES
 
 
 @dataclass(frozen=True)
@@ -52,26 +51,27 @@ class Completion:
         print(completion_script(self.shell), end="")
 
 
-COMMANDS: shared.Commands = {
-    "demo": Demo,
-    "log": Log,
-    "scene": Scene,
-    "actor": Actor,
-    "recar": Recar,
-    "eval": Eval,
-    "bench": Bench,
-    "trellis": Trellis,
-    "planner": Planner,
-    "scenario": Scenario,
-    "run": Run,
-    "report": Report,
-    "view": View,
-    "serve": Serve,
-    "store": Store,
-    "weights": Weights,
-    "doctor": Doctor,
-    "completion": Completion,
-}
+COMMANDS: shared.Commands = shared.with_installed(
+    "",
+    {
+        "demo": Demo,
+        "log": Log,
+        "scene": Scene,
+        "actor": Actor,
+        "recar": Recar,
+        "eval": Eval,
+        "bench": Bench,
+        "trellis": Trellis,
+        "scenario": Scenario,
+        "run": Run,
+        "report": Report,
+        "view": View,
+        "store": Store,
+        "weights": Weights,
+        "doctor": Doctor,
+        "completion": Completion,
+    },
+)
 Command: Any = Annotated[
     shared.one_of(COMMANDS),
     tyro.conf.arg(help=""),  # else tyro parses its own source for one, in 50 ms
@@ -85,6 +85,22 @@ FILE (append the same records to FILE). recast --version prints the version.
 Messages name pages of the documentation, such as docs/install.md; recast doctor prints the folder
 of these pages."""
 
+_APART = {
+    "recast-bridges": (
+        "serve",
+        "eval rollouts",
+        "log export",
+        "scenario export",
+        "scenario import",
+        *(f"scene import {of}" for of in ("street-gaussians", "drivestudio", "mtgs", "hugsim")),
+    ),
+    "recast-tools": ("planner", "recar assets", "recar autoencoder", "recar assemble"),
+}
+"""Commands of the other distributions, for the hint when one is not installed."""
+_INSTALL = {
+    "recast-bridges": BRIDGES,
+    "recast-tools": "make setup in a clone of the repository",
+}
 _LOG = logging.getLogger(__name__)
 
 
@@ -171,6 +187,10 @@ def _command(words: Sequence[str]) -> Callable[[], None]:
     path, below = _path(words)
     program, rest = " ".join(("recast", *path)), words[len(path) :]
     if below and rest and not rest[0].startswith("-"):
+        word = " ".join((*path, rest[0]))
+        for package in (name for name, words in _APART.items() if word in words):
+            problem = f"is a command of {package}, which is not installed"
+            raise InputError("command line", word, problem, f"run {_INSTALL[package]}")
         problem = f"is not a command of {program}"
         raise InputError("command line", rest[0], problem, _choice(rest[0], below, program))
     page = _Page(sys.stdout)

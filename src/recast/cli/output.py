@@ -11,6 +11,7 @@ from __future__ import annotations
 import json
 import math
 import re
+import sys
 import traceback
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
@@ -54,16 +55,9 @@ PAGES = {
     "recast.runs.run_folder": "docs/runs.md#the-run-folder",
     "recast.planning": "docs/planners.md#your-own-planner",
     "recast.planning.registry": "docs/planners.md#built-in",
-    "recast.protocols.alpasim": "docs/howto/alpasim.md",
-    "recast.protocols.alpasim.driver": "docs/howto/alpasim.md#drivers-as-planners",
-    "recast.protocols.alpasim.driver_session": "docs/howto/alpasim.md#drivers-as-planners",
-    "recast.protocols.harmonizer": "docs/runs.md#restored-images",
     "recast.simulation.restoring": "docs/runs.md#restored-images",
-    "recast.protocols.neuroncap": "docs/howto/neuroncap.md",
-    "recast.runs.serve": "docs/howto/alpasim.md",
     "recast.recar": "docs/recar.md",
     "recast.scene.config": "docs/scenes.md#configuration",
-    "recast.scene.importers": "docs/scenes.md#scenes-that-others-trained",
     "recast.simulation.scenario_file": _SCENARIO_FILE,
     "recast.simulation.scenario_names": _SCENARIO_FILE,
     "recast.splats.cuda": "docs/rasterizer.md#on-a-gpu",
@@ -71,7 +65,8 @@ PAGES = {
     "recast.trellis.checkpoints": "docs/image_to_3d.md#model-folders",
     "recast.weights": "docs/weights.md#names",
 }
-"""Page by module or package; the innermost package counts."""
+"""Page by module or package; the innermost package counts. Packages of plug-ins may have theirs in
+an attribute `PAGES` of the outermost one."""
 
 
 def console_for(as_json: bool) -> Console:
@@ -146,10 +141,12 @@ def page_of(error: InputError) -> str | None:
         return EXTRAS_PAGE
     for frame, _ in reversed(list(traceback.walk_tb(error.__traceback__))):
         module = frame.f_globals.get("__name__", "") + "."
-        matching = (name for name in PAGES if module.startswith(f"{name}."))
+        package = sys.modules.get(module.partition(".")[0])
+        pages = {**PAGES, **getattr(package, "PAGES", {})}
+        matching = (name for name in pages if module.startswith(f"{name}."))
         found = max(matching, key=len, default=None)
         if found is not None:
-            return PAGES[found]
+            return str(pages[found])
     return None
 
 

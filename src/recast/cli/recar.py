@@ -12,7 +12,7 @@ from recast.cli import shared
 from recast.cli.actor import MAX_VOXELS, SAMPLING_STEPS
 from recast.cli.output import JSON, console_for, print_json
 from recast.cli.recar_sets import Camera, Ingest, Pack, Perturb, Screen
-from recast.cli.recar_train import Assemble, Assets, Autoencoder, Train
+from recast.cli.recar_train import Train
 
 
 @dataclass(frozen=True)
@@ -240,6 +240,7 @@ class Stats:
 
 
 Recar = shared.group(
+    "recar",
     "Make vehicle sets, and adapt the image-to-3D model to vehicles.",
     {
         "synth": Synth,
@@ -251,8 +252,5 @@ Recar = shared.group(
         "perturb": Perturb,
         "screen": Screen,
         "train": Train,
-        "assets": Assets,
-        "autoencoder": Autoencoder,
-        "assemble": Assemble,
     },
 )

@@ -10,7 +10,7 @@ import tyro
 
 from recast.cli import shared
 from recast.cli.output import JSON, console_for, print_json
-from recast.cli.scene_import import Import
+from recast.cli.scene_import import GaussiansFile
 
 
 @dataclass(frozen=True)
@@ -121,7 +121,13 @@ class Export:
         console_for(False).print(told, markup=False)
 
 
+Import = shared.group(
+    "scene import",
+    "Import a scene that another program trained (docs/scenes.md).",
+    {"gaussians": GaussiansFile},
+)
 Scene = shared.group(
+    "scene",
     "Reconstruct, evaluate, import or export a street.",
     {"train": Train, "eval": Eval, "import": Import, "export": Export},
 )

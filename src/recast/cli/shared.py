@@ -6,9 +6,15 @@ from collections.abc import Callable, Mapping
 from dataclasses import make_dataclass
 from functools import reduce
 from operator import or_
-from typing import Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
+
+from recast.core.errors import InputError
+from recast.core.plugins import entry_points
+
+if TYPE_CHECKING:
+    from importlib.metadata import EntryPoint
 
 Names = tyro.conf.UseAppendAction[tuple[str, ...]]
 """Words of an option that may be repeated."""
@@ -21,8 +27,45 @@ def one_of(commands: Commands) -> Any:
     return reduce(or_, named)
 
 
-def group(text: str, commands: Commands) -> type:
-    """A command that does nothing but one of these; its class has them as `commands`."""
+def with_installed(path: str, commands: Commands) -> Commands:
+    """Commands with those that other packages add: entry points of the group `recast.commands`.
+
+    Args:
+        path: words of the command they belong to, such as "scene import"; empty for `recast`. The
+            name of an entry point is all words with dots between, such as "scene.import.mtgs".
+    """
+    found = dict(commands)
+    for entry in entry_points("recast.commands"):
+        above, _, word = entry.name.rpartition(".")
+        if above == path.replace(" ", "."):
+            found[word] = _loaded(entry)
+    return found
+
+
+def _loaded(entry: EntryPoint) -> Callable[..., Any]:
+    """The class of an installed command; one that says why if it cannot be imported."""
+    try:
+        command: Callable[..., Any] = entry.load()
+    except Exception as error:
+        problem = f"cannot be imported ({type(error).__name__}: {error})"
+        refusal = InputError("command", entry.name, problem, "install its package again")
+
+        def refuse(_command: object) -> None:
+            raise refusal
+
+        command = make_dataclass(
+            "Broken", [], namespace={"__doc__": f"Broken: {problem}", "__call__": refuse}
+        )
+    return command
+
+
+def group(path: str, text: str, commands: Commands) -> type:
+    """A command that does nothing but one of these; its class has them as `commands`.
+
+    Args:
+        path: see `with_installed`.
+    """
+    commands = with_installed(path, commands)
     members = {"__doc__": text, "__call__": lambda self: self.command(), "commands": commands}
     return make_dataclass("Group", [("command", one_of(commands))], frozen=True, namespace=members)
 
@@ -116,11 +159,12 @@ VIEWS = option(
     "Maximum number of images that the actor is made from: the best view, then other sides.", "1"
 )
 
-# What is written for other programs.
-FormatName = Literal["ply", "gltf", "spz", "usd"]
+# What is written for other programs. Names as in recast.splats.formats, which needs torch.
+_ADDED_FORMATS = sorted({*entry_points("recast.splat_formats").names} - {"ply", "gltf"})
+FormatName: Any = Literal[("ply", "gltf", *_ADDED_FORMATS)]
 SPLAT_FORMAT = option(
-    "Format of the Gaussians: ply (3D Gaussian splatting), gltf (GLB with KHR_gaussian_splatting), "
-    "spz (Niantic, quantised) or usd (OpenUSD text).",
+    "Format of the Gaussians: ply (3D Gaussian splatting), gltf (GLB with KHR_gaussian_splatting); "
+    "with recast-bridges spz (Niantic, quantised) or usd (OpenUSD text).",
     "ply",
 )
 

@@ -61,6 +61,7 @@ class Prune:
 
 
 Store = shared.group(
+    "store",
     "List, explain or remove the artefacts (scenes, actors, rollouts) that runs share.",
     {"list": List, "why": Why, "prune": Prune},
 )

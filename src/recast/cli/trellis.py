@@ -71,6 +71,7 @@ class Export:
 
 
 Trellis = shared.group(
+    "trellis",
     "Check or export model folders of the image-to-3D model.",
     {"verify": Verify, "export": Export},
 )

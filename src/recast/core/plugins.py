@@ -1,14 +1,19 @@
-"""Exchangeable parts, found by name, by folder or file, or by the path of their code."""
+"""Exchangeable parts, found by name, by folder or file, or by the path of their code.
+
+All names are entry points: those of recast itself stand in its pyproject.toml, as those of every
+other package do. No module here or below imports a part.
+"""
 
 from __future__ import annotations
 
 import importlib
 import inspect
 import os
+import sys
 from collections.abc import Callable, Mapping
 from contextlib import suppress
-from dataclasses import dataclass, field
-from functools import partial
+from dataclasses import dataclass
+from functools import lru_cache, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -18,47 +23,79 @@ from recast.core.source_files import search_folder, source_files
 if TYPE_CHECKING:
     from importlib.metadata import EntryPoints
 
+BRIDGES = "pip install 'recast-sim[bridges]'"
+"""Command that installs the parts that speak to other programs."""
+_BRIDGED: Mapping[str, tuple[str, ...]] = {
+    "importer": ("alpasim", "drivestudio", "py123d", "street-gaussians"),
+    "planner": ("alpasim:", "navsim:", "neuroncap:"),
+    "restorer": ("harmonizer:",),
+}
+"""Names by kind of part that the bridges have, for the hint when they are not installed."""
+
 
 def entry_points(group: str) -> EntryPoints:
     """The entry points of all installed packages in a group."""
-    from importlib.metadata import entry_points as installed
+    return _installed(tuple(sys.path)).select(group=group)
 
-    return installed(group=group)
+
+@lru_cache(maxsize=4)
+def _installed(_path: tuple[str, ...]) -> EntryPoints:
+    """All entry points, by the folders that Python searches: reading them takes 10 ms."""
+    from importlib.metadata import EntryPoints, distributions
+
+    first = {one.name: one for one in reversed(list(distributions()))}  # as Python would import it
+    return EntryPoints(entry for one in first.values() for entry in one.entry_points)
 
 
 @dataclass(frozen=True)
 class Registry:
     """One kind of exchangeable part, and every way to name one; see `resolve`.
 
-    All code is given as "module:attribute" and imported only when it is needed.
+    Its code is given as "module:attribute" and imported only when it is needed.
 
     Attributes:
-        group: entry-point group in which other packages announce theirs.
-        built_in: name to code.
+        group: entry-point group of the names. Groups that begin with it have the rest: `.folder`
+            (one entry: code that reads a part from a folder, called with its path), `.files`
+            (suffix of a file's name without the dot: code that reads such a file), `.prefixes`
+            (start of a name without its colon: code that is called with what follows),
+            `.sources` (the same start: code that returns what stands for such a part in keys of
+            artefacts, where the name alone is not enough) and `.experimental` (names of parts that
+            have not met real data).
         members: attributes that tell an object of the kind from other objects.
         protocol: full name of the protocol that documents these members, for messages.
         makes_parts: whether code is a class or function that returns the part when called; if
             False, it is the part.
-        folder: code that reads a part from a folder, called with its path; empty if there is none.
-        files: suffix of a file's name, in lower case, to the code that reads such a file.
-        prefixes: start of a name, such as "library:", to the code that is called with its rest.
-        experimental: built-in names of parts that have not met real data.
     """
 
     kind: str
     group: str
-    built_in: Mapping[str, str]
     members: tuple[str, ...] = ()
     protocol: str = ""
     makes_parts: bool = True
-    folder: str = ""
-    files: Mapping[str, str] = field(default_factory=dict)
-    prefixes: Mapping[str, str] = field(default_factory=dict)
-    experimental: frozenset[str] = frozenset()
+
+    @property
+    def folder(self) -> str:
+        """Code that reads a part from a folder; empty if there is none."""
+        return next((entry.value for entry in entry_points(f"{self.group}.folder")), "")
+
+    @property
+    def files(self) -> Mapping[str, str]:
+        """Code by suffix of a file's name, in lower case."""
+        return {f".{one.name}": one.value for one in entry_points(f"{self.group}.files")}
+
+    @property
+    def prefixes(self) -> Mapping[str, str]:
+        """Code by start of a name, such as "library:"."""
+        return {f"{one.name}:": one.value for one in entry_points(f"{self.group}.prefixes")}
+
+    @property
+    def experimental(self) -> frozenset[str]:
+        """Names of parts that have not met real data."""
+        return frozenset(entry_points(f"{self.group}.experimental").names)
 
     def names(self) -> tuple[str, ...]:
         """All names, sorted."""
-        return tuple(sorted({*self.built_in, *entry_points(group=self.group).names}))
+        return tuple(sorted(entry_points(self.group).names))
 
     def labels(self) -> tuple[str, ...]:
         """All names, sorted, those of experimental parts marked."""
@@ -148,12 +185,34 @@ class Registry:
         return self._imported(self._path(name), name)
 
     def source_files(self, name: str) -> tuple[Path, ...]:
-        """The files of the code behind a name, see `source_files`; () if it is built in.
+        """The files of the code behind a name, see `source_files`; () if it is of recast.
 
         Raises:
             InputError: the name is unknown.
         """
         return source_files(self._path(name))
+
+    def source(self, name: str) -> str:
+        """What stands for a part in keys of artefacts.
+
+        A part of recast is its name, since recipes count its changes; a folder is its content;
+        other code is its name with the version of its package and the content of its files.
+
+        Raises:
+            InputError: the name is unknown, or a file cannot be read.
+        """
+        from recast.core.artefact import file_hash, folder_hash
+
+        for one in entry_points(f"{self.group}.sources"):
+            if name.startswith(f"{one.name}:"):
+                return str(self._imported(one.value, name)(name.removeprefix(f"{one.name}:")))
+        if name.startswith(tuple(self.prefixes)):
+            return name
+        if (place := self.place(name)) is not None:
+            return file_hash(place) if place.is_file() else folder_hash(place)
+        plugins = entry_points(self.group)
+        package = plugins[name].dist if name in plugins.names else None
+        return code_source(name, self.source_files(name), package.version if package else "")
 
     def _weights(self, name: str) -> Path | None:
         from recast.weights import place
@@ -181,7 +240,7 @@ class Registry:
         from recast.core.foreign import place_of, process_kept
 
         module, _, attribute = path.partition(":")
-        if not module.startswith("recast."):  # what it does to torch is put back only if it is here
+        if not module.startswith("recast"):  # what it does to torch is put back only if it is here
             with suppress(ImportError):
                 importlib.import_module("torch")
         search_folder()
@@ -211,13 +270,20 @@ class Registry:
 
     def _path(self, name: str) -> str:
         """The "module:attribute" of a name."""
-        path = self.built_in.get(name, name)
-        if ":" in path:
-            return path
-        plugins = entry_points(group=self.group)
+        if self._is_bridged(name) and name not in self.names():
+            problem = "is part of recast-bridges, which is not installed"
+            raise InputError(self.kind, name, problem, f"run {BRIDGES}")
+        if ":" in name:
+            return name
+        plugins = entry_points(self.group)
         if name not in plugins.names:
             raise InputError(self.kind, name, "is not known", self._choices(name))
         return plugins[name].value
+
+    def _is_bridged(self, name: str) -> bool:
+        """Whether the name is of a part of recast-bridges; its prefixes are seen to before."""
+        bridged = _BRIDGED.get(self.kind, ())
+        return name in bridged or name.startswith(tuple(one for one in bridged if one[-1] == ":"))
 
     def _choices(self, name: str) -> str:
         from recast.weights import PUBLISHED
@@ -266,95 +332,68 @@ def _parameters(code: Callable[..., Any]) -> Mapping[str, inspect.Parameter]:
         return {}
 
 
+def code_source(name: str, files: tuple[Path, ...], version: str = "") -> str:
+    """What stands for code in keys of artefacts: its name, its version and the hash of its files.
+
+    The version stands for data files, which are not looked at.
+
+    Args:
+        files: see `source_files`; for () the name alone is returned.
+    """
+    from recast.core.artefact import files_hash
+
+    if not files:
+        return name
+    # Names below the folder that all share: the same code elsewhere is the same code.
+    root = Path(os.path.commonpath([file.parent for file in files]))
+    return " ".join([name, *([version] if version else []), files_hash(files, root)])
+
+
 PLANNERS = Registry(
     "planner",
     "recast.planners",
-    {
-        "constant-velocity": "recast.planning.simple:ConstantVelocity",
-        "gtrs-mini": "recast.planning.registry:gtrs_mini_planner",
-        "gtrs-mini-oracle": "recast.planning.registry:gtrs_mini_oracle_planner",
-        "idm-follower": "recast.planning.idm_follower:IdmLaneFollower",
-        "log-replay": "recast.planning.simple:LogReplay",
-        "pdm-closed": "recast.planning.pdm:PdmClosedPlanner",
-    },
     members=("name", "needs_images", "reset", "plan"),
     protocol="recast.planning.Planner",
-    folder="recast.planning.gtrs:load_gtrs",
-    prefixes={
-        "alpasim:": "recast.protocols.alpasim.driver:driver_planner",
-        "navsim:": "recast.planning.registry:navsim_planner",
-        "neuroncap:": "recast.protocols.neuroncap.planner:neuroncap_planner",
-    },
 )
 """Each is a class or function that makes a `recast.planning.Planner`."""
 
 RESTORERS = Registry(
     "restorer",
     "recast.restorers",
-    {},
     members=("name", "restore"),
     protocol="recast.simulation.restoring.Restorer",
-    prefixes={"harmonizer:": "recast.protocols.harmonizer:harmonizer_restorer"},
 )
 """Each is a class or function that makes a `recast.simulation.restoring.Restorer`."""
-
-_VEHICLE_FILE = "recast.actors.vehicle_files:vehicle_generator"
 
 GENERATORS = Registry(
     "generator",
     "recast.generators",
-    {
-        "auto": "recast.actors.candidates:AutoGenerator",
-        "recast-mini": "recast.actors.generate:recast_mini_generator",
-        "template": "recast.actors.template:TemplateGenerator",
-    },
     members=("name", "generate"),
     protocol="recast.actors.ActorGenerator",
-    folder="recast.actors.generate:model_generator",
-    files=dict.fromkeys((".ply", ".glb", ".gltf", ".obj", ".spz", ".usda"), _VEHICLE_FILE),
-    prefixes={"library:": "recast.actors.library:LibraryGenerator"},
 )
 """Each is a class or function that makes a `recast.actors.ActorGenerator`."""
 
 SEGMENTERS = Registry(
     "segmenter",
     "recast.segmenters",
-    {"box-lidar": "recast.actors.segment:BoxLidarSegmenter"},
     members=("segment",),
     protocol="recast.actors.Segmenter",
-    folder="recast.actors.grounded_segmenter:GroundedSamSegmenter",
 )
 """Each is a class or function that makes a `recast.actors.Segmenter`."""
 
 IMPORTERS = Registry(
     "importer",
     "recast.importers",
-    {
-        "alpasim": "recast.protocols.alpasim.bundle_read:load_alpasim",
-        "argoverse2": "recast.logs.importers.argoverse2:load_argoverse2",
-        "drivestudio": "recast.logs.importers.drivestudio:load_drivestudio",
-        "kitti": "recast.logs.importers.kitti:load_kitti",
-        "nuscenes": "recast.logs.importers.nuscenes:load_nuscenes",
-        "py123d": "recast.logs.importers.py123d:load_py123d",
-        "street-gaussians": "recast.logs.importers.street_gaussians:load_street_gaussians",
-        "waymo": "recast.logs.importers.waymo:load_waymo",
-        "waymo-v2": "recast.logs.importers.waymo:load_waymo2",
-    },
     members=("__call__",),
     protocol="recast.logs.importers.LogImporter",
     makes_parts=False,
-    experimental=frozenset(
-        {"alpasim", "drivestudio", "nuscenes", "py123d", "street-gaussians", "waymo-v2"}
-    ),
 )
 """Each is a `recast.logs.importers.LogImporter`."""
 
 SCENES = Registry(
     "scene",
     "recast.scenes",
-    {},
     members=("background", "actors", "at"),
     protocol="recast.scene.StreetScene",
-    folder="recast.scene.store:load_scene",
 )
 """Each is a class or function that makes a `recast.scene.StreetScene`."""

@@ -13,15 +13,13 @@ from recast.planning.cameras import (
 )
 from recast.planning.idm_follower import IdmFollowerConfig, IdmLaneFollower
 from recast.planning.registry import (
-    ALPASIM_PREFIX,
     DEVICE_PATTERN,
     GTRS_MINI,
-    NAVSIM_PREFIX,
     PLANNERS,
     make_planner,
     planner_device,
     planner_folder,
-    planner_source_files,
+    planner_source,
     shipped_folder,
 )
 from recast.planning.route import DrivingCommand, ReferenceRoute, route_lanes
@@ -38,10 +36,8 @@ from recast.planning.types import (
 )
 
 __all__ = [
-    "ALPASIM_PREFIX",
     "DEVICE_PATTERN",
     "GTRS_MINI",
-    "NAVSIM_PREFIX",
     "PLANNERS",
     "WAYPOINTS",
     "ActorState",
@@ -65,7 +61,7 @@ __all__ = [
     "planner_cameras",
     "planner_device",
     "planner_folder",
-    "planner_source_files",
+    "planner_source",
     "route_lanes",
     "seen_lines",
     "seen_record",

@@ -1,4 +1,4 @@
-"""Planners by name: built in, shipped, installed, code, folders, and programs of others."""
+"""Planners by name: shipped, installed, code, folders, and programs of others."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from pathlib import Path
 
 from recast import weights
 from recast.core.arguments import checked
+from recast.core.artefact import folder_hash
 from recast.core.errors import InputError
 from recast.core.plugins import PLANNERS
 from recast.planning.types import Planner
@@ -16,12 +17,6 @@ DEVICE_PATTERN = r"auto|cpu|cuda(:\d{1,3})?"
 GTRS_MINI, GTRS_MINI_ORACLE = "gtrs-mini", "gtrs-mini-oracle"
 """Planners that come with the package, each in a folder of its name; the second one never saw a
 reconstructed image."""
-ALPASIM_PREFIX = "alpasim:"
-"""Before the address of a driver of AlpaSim."""
-NAVSIM_PREFIX = "navsim:"
-"""Before the "module:attribute" of a NAVSIM agent."""
-NEURONCAP_PREFIX = "neuroncap:"
-"""Before the address of a program that plans, see `recast.protocols.neuroncap`."""
 
 
 @checked()
@@ -30,11 +25,11 @@ def make_planner(planner: str | Path | Planner, device: str = "auto") -> Planner
 
     Args:
         planner: one of `PLANNERS.names()`; or "package.module:attribute" of a class or function
-            that returns a `Planner` when called without arguments; or
-            "navsim:package.module:attribute" of one that returns a NAVSIM agent; or
-            "alpasim:HOST:PORT" of a driver of AlpaSim; or "neuroncap:HOST:PORT" of a program that
-            plans; or a folder that `save_gtrs` wrote; or a
-            `Planner`. See `recast.core.plugins.Registry.resolve`.
+            that returns a `Planner` when called without arguments; or a folder that `save_gtrs`
+            wrote; or a `Planner`; or, with recast-bridges, "navsim:package.module:attribute" of a
+            class or function that returns a NAVSIM agent, "alpasim:HOST:PORT" of a driver of
+            AlpaSim, or "neuroncap:HOST:PORT" of a program that plans. See
+            `recast.core.plugins.Registry.resolve`.
         device: device on which it computes, see `planner_device`. A class or function of the user's
             is given it if it has a parameter `device`; what has none decides itself.
 
@@ -49,22 +44,6 @@ def make_planner(planner: str | Path | Planner, device: str = "auto") -> Planner
     return PLANNERS.resolve(planner, **options)
 
 
-def navsim_planner(agent: str, device: str = "cpu") -> Planner:
-    """The planner of a NAVSIM agent.
-
-    Args:
-        agent: "package.module:attribute" of a class or function that returns it.
-        device: given to that if it has a parameter of this name.
-
-    Raises:
-        InputError: the agent cannot be imported, or it is no agent that can be simulated. Other
-            exceptions of its code pass.
-    """
-    from recast.planning.navsim import NavsimPlanner
-
-    return NavsimPlanner(PLANNERS.make(agent, device=device))
-
-
 def planner_folder(name: str) -> Path | None:
     """The folder that holds all of a planner, or None where code makes it.
 
@@ -75,17 +54,14 @@ def planner_folder(name: str) -> Path | None:
     return PLANNERS.place(name)
 
 
-def planner_source_files(name: str) -> tuple[Path, ...]:
-    """The files of a user's own code behind a planner's name, see `core.plugins.source_files`.
-
-    () for built-in planners, for folders, and for other programs, whose code nobody here knows.
+def planner_source(name: str) -> str:
+    """What stands for a planner in keys of artefacts; see `recast.core.plugins.Registry.source`.
 
     Raises:
-        InputError: the name is unknown.
+        InputError: the name is unknown, or a program that it names does not answer.
     """
-    if name.startswith((ALPASIM_PREFIX, NEURONCAP_PREFIX)) or planner_folder(name) is not None:
-        return ()
-    return PLANNERS.source_files(name.removeprefix(NAVSIM_PREFIX))
+    folder = planner_folder(name)
+    return PLANNERS.source(name) if folder is None else folder_hash(folder)
 
 
 def planner_device(name: str = "auto") -> str:

@@ -1,9 +1,8 @@
 """Simple planners: straight ahead, the log's own drive, and probes to prove frame conventions.
 
 The motion of probes is known in advance. Each can be named, as
-`recast.planning.simple:left_arc`; those of NAVSIM, behind its seam, as
-`navsim:recast.planning.simple:left_arc_agent`. `recast.simulation.probe_path` drives any
-planner over an empty plane and says where it went.
+`recast.planning.simple:left_arc`. `recast.simulation.probe_path` drives any planner over an empty
+plane and says where it went.
 """
 
 from __future__ import annotations
@@ -17,7 +16,6 @@ from numpy.typing import ArrayLike, NDArray
 from recast.dynamics import initial_state
 from recast.dynamics import state as ego
 from recast.geometry import se2
-from recast.planning.navsim.types import AgentInput, SensorConfig, Trajectory, TrajectorySampling
 from recast.planning.types import WAYPOINTS, Plan, PlannerInput, PlanningContext
 
 
@@ -122,36 +120,3 @@ class ProbePlanner(_Blind):
 straight = partial(ProbePlanner, "straight")
 left_arc = partial(ProbePlanner, "left-arc")
 right_arc = partial(ProbePlanner, "right-arc")
-
-
-class ProbeAgent:
-    """Drives an arc at its present speed.
-
-    Args:
-        name: one of `PROBE_CURVATURES`.
-        interval: seconds between the poses it answers with.
-    """
-
-    def __init__(self, name: str, interval: float = 0.5) -> None:
-        self.name = name
-        self._curvature = PROBE_CURVATURES[name]
-        self._sampling = TrajectorySampling(time_horizon=4.0, interval_length=interval)
-
-    def initialize(self) -> None:
-        """Nothing to load."""
-
-    def get_sensor_config(self) -> SensorConfig:
-        """It needs no sensors."""
-        return SensorConfig.build_no_sensors()
-
-    def compute_trajectory(self, agent_input: AgentInput) -> Trajectory:
-        """The arc for the coming 4 s."""
-        speed = float(agent_input.ego_statuses[-1].ego_velocity[0])
-        assert self._sampling.num_poses is not None and self._sampling.interval_length is not None
-        times = self._sampling.interval_length * np.arange(1, self._sampling.num_poses + 1)
-        return Trajectory(arc(self._curvature, speed * times).astype(np.float32), self._sampling)
-
-
-straight_agent = partial(ProbeAgent, "straight")
-left_arc_agent = partial(ProbeAgent, "left-arc")
-right_arc_agent = partial(ProbeAgent, "right-arc")

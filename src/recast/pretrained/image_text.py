@@ -178,11 +178,8 @@ class VqaScorer(Protocol):
 VQA_SCORERS = Registry(
     "VQA scorer",
     "recast.vqa_scorers",
-    {},
     members=("name", "score"),
     protocol="recast.pretrained.VqaScorer",
-    folder="recast.pretrained.clip_t5:load_clip_t5",
-    prefixes={"t2v_metrics:": "recast.pretrained.image_text:T2vMetrics"},
 )
 """Each is a class or function that makes a `VqaScorer`; it may take the option `device`."""
 

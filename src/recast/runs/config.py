@@ -18,7 +18,7 @@ from recast.runs.arms import MOST_VIEWS, PRESETS, Arm, default_arms, require_und
 from recast.runs.paper import PAPER, paper_config
 from recast.scene import Preset, SceneConfig, read_config, read_training_config
 from recast.scene import resolve_config as scene_config
-from recast.scene.importers import IMPORT_FILE
+from recast.scene.imported import IMPORT_FILE
 from recast.simulation import (
     MOTIONS,
     ScriptedMotion,

@@ -31,7 +31,7 @@ from recast.scene import (
     read_training_config,
     train_scene,
 )
-from recast.scene.importers import IMPORT_FILE
+from recast.scene.imported import IMPORT_FILE
 from recast.synthetic import Oracle, is_synthetic, world_of
 from recast.synthetic.oracle import OraclePool
 from recast.synthetic.rig import exposure, sensor_number

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
-from importlib.metadata import entry_points
 from pathlib import Path
 from typing import Self
 
@@ -17,12 +15,12 @@ from recast.actors.library import LIBRARY
 from recast.actors.vehicle_files import files_of_vehicle, is_vehicle_file
 from recast.core.artefact import file_hash, files_hash, folder_hash
 from recast.core.errors import InputError
-from recast.core.plugins import RESTORERS, Registry
+from recast.core.plugins import RESTORERS
 from recast.core.progress import ProgressBar
 from recast.core.remote import remote_path
 from recast.logs import DrivingLog, HdMap, map_of, read_log
 from recast.logs.load import local_folder
-from recast.planning import ALPASIM_PREFIX, PLANNERS, planner_folder, planner_source_files
+from recast.planning import planner_source
 from recast.pretrained import VQA_SCORERS
 from recast.runs.config import RunConfig
 from recast.synthetic import CAMERAS, World, synthesize_log, world_metadata, world_of
@@ -196,22 +194,6 @@ def _each(
     return {name: known[name] if name in known else source(name) for name in names}
 
 
-def planner_source(name: str) -> str:
-    """What stands for a planner; see `Sources`. A driver of AlpaSim must be there.
-
-    Raises:
-        InputError: the name is unknown, or the driver does not answer.
-    """
-    folder = planner_folder(name)
-    if folder is not None:
-        return folder_hash(folder)
-    if name.startswith(ALPASIM_PREFIX):
-        from recast.protocols.alpasim.driver import driver_planner
-
-        return f"{name} {driver_planner(name.removeprefix(ALPASIM_PREFIX)).version}"
-    return _code(PLANNERS, name, planner_source_files(name))
-
-
 def generator_source(name: str) -> str:
     """What stands for a generator; see `Sources`. Vehicles' files must be there."""
     if name.startswith(LIBRARY):
@@ -223,37 +205,19 @@ def generator_source(name: str) -> str:
         return folder_hash(recast_mini())
     if name == DEFAULT_GENERATOR:  # offers the template and that model
         return f"{name} {folder_hash(recast_mini())}"
-    return _part(GENERATORS, name)
+    return GENERATORS.source(name)
 
 
 def segmenter_source(name: str) -> str:
     """What stands for a segmenter; see `Sources`."""
-    return _part(SEGMENTERS, name)
+    return SEGMENTERS.source(name)
 
 
 def restorer_source(name: str) -> str:
     """What stands for a restorer; see `Sources`. Of another program only its address is known."""
-    return name if name.startswith(tuple(RESTORERS.prefixes)) else _part(RESTORERS, name)
+    return RESTORERS.source(name)
 
 
 def vqa_source(name: str) -> str:
     """What stands for a VQA scorer; see `Sources`."""
-    return name if name.startswith(tuple(VQA_SCORERS.prefixes)) else _part(VQA_SCORERS, name)
-
-
-def _part(registry: Registry, name: str) -> str:
-    folder = registry.place(name)
-    if folder is not None:
-        return folder_hash(folder)
-    return _code(registry, name, registry.source_files(name))
-
-
-def _code(registry: Registry, name: str, files: tuple[Path, ...]) -> str:
-    if not files:
-        return name
-    # Names below the folder that all share: the same code elsewhere is the same code.
-    root = Path(os.path.commonpath([file.parent for file in files]))
-    plugins = entry_points(group=registry.group)
-    package = plugins[name].dist if name in plugins.names else None
-    # Its data files are not looked at, so the version stands for them.
-    return " ".join([name, *([package.version] if package else []), files_hash(files, root)])
+    return VQA_SCORERS.source(name)

@@ -14,7 +14,7 @@ from recast.core.files import atomic_folder, write_json
 from recast.core.names import folder_name
 from recast.scene.sky import write_sky
 from recast.scene.street_scene import SceneActor, StreetScene
-from recast.splats.formats import FORMATS, FormatName, write_gaussians
+from recast.splats.formats import format_named, write_gaussians
 
 EXPORT_VERSION = 1
 EXPORT_FORMAT = "recast-scene-export"
@@ -33,18 +33,8 @@ CONVENTIONS = {
     "above; 16 bits a channel, 65535 = 1",
 }
 
-GAUSSIANS: dict[FormatName, str] = {
-    "ply": "PLY of 3D Gaussian splatting: x y z, f_dc and f_rest (real harmonics, channel by "
-    "channel; colour = max(0.5 + sum, 0)), opacity (logit), scale (natural log of standard "
-    "deviations), rot (quaternion w x y z, not normalised)",
-    "gltf": "glTF 2.0, KHR_gaussian_splatting; turned: world and actor (x, y, z) = file (z, x, y)",
-    "spz": "SPZ; turned: world and actor (x, y, z) = file (-z, -x, y); quantised",
-    "usd": "OpenUSD, ParticleField3DGaussianSplat, z up; not turned",
-}
-"""What the files hold, by format."""
 
-
-def export_scene(scene: StreetScene, folder: str | Path, splat_format: FormatName = "ply") -> None:
+def export_scene(scene: StreetScene, folder: str | Path, splat_format: str = "ply") -> None:
     """Write background.ply, actors/ID.ply (actor frame), sky.png and scene.json with the poses.
 
     An actor's shadow is shadows/ID.ply, in the actor's frame too, and goes where the actor goes. A
@@ -57,7 +47,7 @@ def export_scene(scene: StreetScene, folder: str | Path, splat_format: FormatNam
     Raises:
         InputError: `folder` exists, a part does not fit into the format, or the disk is full.
     """
-    names, suffix = _file_names(scene.actors), FORMATS[splat_format].suffix
+    names, suffix = _file_names(scene.actors), format_named(splat_format).suffix
     with atomic_folder(folder) as partial:
         write_gaussians(partial / f"{BACKGROUND}{suffix}", scene.background)
         actors = []
@@ -74,7 +64,7 @@ def export_scene(scene: StreetScene, folder: str | Path, splat_format: FormatNam
 
 
 def export_scene_at(
-    scene: StreetScene, folder: str | Path, seconds: float, splat_format: FormatName = "ply"
+    scene: StreetScene, folder: str | Path, seconds: float, splat_format: str = "ply"
 ) -> int:
     """Write merged.ply, everything there at a time in the world frame, sky.png and scene.json.
 
@@ -99,7 +89,7 @@ def export_scene_at(
     timestamp_us = first + round(seconds * 1e6)
     poses = scene.actor_poses(timestamp_us)
     with atomic_folder(folder) as partial:
-        merged = f"{MERGED}{FORMATS[splat_format].suffix}"
+        merged = f"{MERGED}{format_named(splat_format).suffix}"
         write_gaussians(partial / merged, scene.at(poses, timestamp_us))
         actors = [
             {"track_id": track_id, "world_from_actor": pose.tolist()}
@@ -139,9 +129,7 @@ def _actor_record(actor: SceneActor) -> dict[str, Any]:
     }
 
 
-def _finish(
-    scene: StreetScene, folder: Path, splat_format: FormatName, parts: dict[str, Any]
-) -> None:
+def _finish(scene: StreetScene, folder: Path, splat_format: str, parts: dict[str, Any]) -> None:
     write_sky(folder / SKY_FILE, scene.sky)
     record = {
         "format": EXPORT_FORMAT,
@@ -151,7 +139,7 @@ def _finish(
         "sky": SKY_FILE,
         "splat_format": splat_format,
         **parts,
-        "conventions": CONVENTIONS | {"gaussians": GAUSSIANS[splat_format]},
+        "conventions": CONVENTIONS | {"gaussians": format_named(splat_format).contents},
     }
     write_json(folder / RECORD_FILE, record)
 

@@ -15,7 +15,7 @@ from recast.arrays import Mask
 from recast.core.errors import InputError
 from recast.core.images import decode_mask
 from recast.logs import DrivingLog
-from recast.logs.importers.processed_folder import CAMERAS
+from recast.logs.importers.waymo_proto import CAMERA_NAME
 from recast.pretrained import PretrainedFolder
 from recast.scene.config import SceneConfig
 from recast.scene.first_points import near_samples
@@ -26,6 +26,8 @@ LEAST_BRIGHT = 0.62
 """Least value of the brightest channel of sky."""
 LARGEST_STEP = 0.12
 """Largest step of the grey value across neighbouring pixels of sky."""
+_WAYMO = tuple(CAMERA_NAME.names.values())
+"""Waymo's cameras by their number in names of files."""
 _FILE = re.compile(r"(\d+)_(.+)\.png", re.IGNORECASE)
 _NAMES = "name them FRAME_CAMERA.png, with the log's name of the camera or Waymo's number of it"
 
@@ -85,7 +87,7 @@ def _from_files(
 
 def _camera(log: DrivingLog, name: str) -> str:
     """The log's camera that a file name means: by its name, or by Waymo's number."""
-    numbered = CAMERAS[int(name)] if name.isdigit() and int(name) < len(CAMERAS) else name
+    numbered = _WAYMO[int(name)] if name.isdigit() and int(name) < len(_WAYMO) else name
     return name if name in log.cameras else numbered
 
 

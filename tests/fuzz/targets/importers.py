@@ -10,11 +10,11 @@ from typing import Any
 from fuzz.target import Target
 from recast.logs import DrivingLog
 from recast.logs.importers.argoverse2 import load_argoverse2
-from recast.logs.importers.drivestudio import load_drivestudio
 from recast.logs.importers.kitti import load_kitti
 from recast.logs.importers.nuscenes import load_nuscenes
-from recast.logs.importers.street_gaussians import load_street_gaussians
 from recast.logs.importers.waymo import load_waymo, load_waymo2
+from recast_bridges.logs.drivestudio import load_drivestudio
+from recast_bridges.logs.street_gaussians import load_street_gaussians
 from support import (
     tiny_argoverse2,
     tiny_drive,

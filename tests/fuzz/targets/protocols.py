@@ -13,15 +13,15 @@ import numpy as np
 from fuzz.target import Target
 from recast.core.errors import InputError
 from recast.core.files import parse_json, read_bytes, write_json
-from recast.protocols.alpasim.cameras import camera_message
-from recast.protocols.alpasim.messages import message
-from recast.protocols.alpasim.poses import pose_pair
-from recast.protocols.alpasim.server import SensorsimService
-from recast.protocols.neuroncap.service import NcapService
-from recast.protocols.rendering import ScenePainter
-from recast.protocols.requests import RefusedError, RenderRequest
 from recast.weights.table import Licence, Source
 from recast.weights.transfer import listed_files
+from recast_bridges.alpasim.cameras import camera_message
+from recast_bridges.alpasim.messages import message
+from recast_bridges.alpasim.poses import pose_pair
+from recast_bridges.alpasim.server import SensorsimService
+from recast_bridges.neuroncap.service import NcapService
+from recast_bridges.rendering import ScenePainter
+from recast_bridges.requests import RefusedError, RenderRequest
 from support import tiny_served
 
 _LARGEST = 1 << 26  # bytes of a message

@@ -16,8 +16,6 @@ from recast.logs.hdmap import HdMap, Lane
 from recast.logs.importers.nuscenes import KEY_FRAMES
 from recast.metrics.trust import packaged_calibration, read_calibration, write_calibration
 from recast.planning import ShownView
-from recast.protocols.neuroncap.scenario_file import read_ncap_scenario
-from recast.protocols.neuroncap.scenario_runs import ncap_runs
 from recast.runs.arm_words import parse_arms
 from recast.runs.config import RunConfig, read_run_config
 from recast.runs.layout import use_name
@@ -25,7 +23,11 @@ from recast.runs.rollouts import given_views
 from recast.runs.run_folder import RunFolder
 from recast.simulation import MOTIONS, load_rollout, save_rollout, scenario_record
 from recast.simulation.coverage import ImageCoverage, RolloutCoverage
-from recast.simulation.openx import (
+from recast.simulation.rollout_files import load_coverage, save_coverage
+from recast.simulation.scenario_file import read_scenario
+from recast_bridges.neuroncap.scenario_file import read_ncap_scenario
+from recast_bridges.neuroncap.scenario_runs import ncap_runs
+from recast_bridges.openx import (
     Entity,
     Played,
     read_opendrive,
@@ -33,8 +35,6 @@ from recast.simulation.openx import (
     write_opendrive,
     write_openscenario,
 )
-from recast.simulation.rollout_files import load_coverage, save_coverage
-from recast.simulation.scenario_file import read_scenario
 from support.tiny_served import make_log
 
 _COVERAGE = RolloutCoverage(

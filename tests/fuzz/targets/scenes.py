@@ -12,6 +12,13 @@ import torch
 
 from actors import made_up
 from actors.mesh import made
+from bridges.scenes import (
+    test_drivestudio,
+    test_hugsim,
+    test_mtgs,
+    test_odyssey,
+    test_street_gaussians,
+)
 from fuzz.target import Target
 from recast.actors import (
     Actor,
@@ -36,26 +43,19 @@ from recast.scene import (
     read_config,
     save_scene,
 )
-from recast.scene.importers import (
+from recast.scene.imported import import_gaussians
+from recast.splats import read_ply, write_ply
+from recast.splats.formats import formats
+from recast.synthetic.vehicles.shapes import read_mesh
+from recast_bridges.scenes import (
     hugsim_log,
     import_drivestudio,
-    import_gaussians,
     import_hugsim,
     import_mtgs,
     import_street_gaussians,
     mtgs_log,
 )
-from recast.splats import read_ply, write_ply
-from recast.splats.formats import FORMATS, FormatName
-from recast.splats.formats.spz import read_spz, write_spz
-from recast.synthetic.vehicles.shapes import read_mesh
-from scene.importers import (
-    test_drivestudio,
-    test_hugsim,
-    test_mtgs,
-    test_odyssey,
-    test_street_gaussians,
-)
+from recast_bridges.splats.spz import read_spz, write_spz
 from support import trained_scenes
 
 
@@ -148,8 +148,8 @@ def _import_street_gaussians(folder: Path, out: Path) -> object:
     )
 
 
-def _splats(name: FormatName) -> Target:
-    one, car = FORMATS[name], trained_scenes.make_car(1)
+def _splats(name: str) -> Target:
+    one, car = formats()[name], trained_scenes.make_car(1)
     file = f"car{one.suffix}"
     return Target(
         f"splats-{name}",
@@ -183,7 +183,7 @@ TARGETS = (
         lambda f, out: read_ply(f / "car.ply"),
         weight=12.0,
     ),
-    *(_splats(name) for name in FORMATS if name != "ply"),
+    *(_splats(name) for name in formats() if name != "ply"),
     Target(
         "spz-3",
         lambda f: write_spz(f / "car.spz", trained_scenes.make_car(1), version=3),

@@ -13,7 +13,6 @@ from recast.metrics.scene_level.summary import LevelRow
 from recast.metrics.trust import Reliability
 from recast.runs.layout import METRICS_FILE
 from recast.runs.scores import read_metrics
-from recast.studies.foreign_scores import SCORES, ForeignScores, ScoreRow
 from recast.studies.results import GridResults
 from recast.studies.verdict_parts import PartLoss
 from recast.studies.verdicts import VerdictCounts
@@ -86,36 +85,6 @@ def grid_rows(results: GridResults) -> Rows:
         "decomposition": [_loss(one) for one in results.losses],
         "failures": failures,
     }
-
-
-def foreign_rows(rows: Sequence[ScoreRow], scores: Sequence[ForeignScores]) -> Rows:
-    """Means of each planner and arm, and the scores of each rollout with their reasons."""
-    keys = {key: with_unit(key, column.unit) for key, column in SCORES.items()}
-    arms = [
-        {
-            "planner": row.planner,
-            "arm": row.arm,
-            "rollouts": row.rollouts,
-            **{keys[key]: mean for key, mean in row.means.items()},
-            **{f"{key}_rollouts": count for key, count in row.counts.items()},
-        }
-        for row in rows
-    ]
-    rollouts = [
-        {
-            "rollout": one.name,
-            "planner": one.planner,
-            "arm": one.arm,
-            "motion": f"{one.motion}-{one.setting}",
-            **{
-                keys[key]: None if metric.value is None else SCORES[key].scale * metric.value
-                for key, metric in one.values.items()
-            },
-            **{f"{key}_reason": metric.reason for key, metric in one.values.items()},
-        }
-        for one in scores
-    ]
-    return {"arms": arms, "rollouts": rollouts}
 
 
 def trust_rows(found: Mapping[str, Reliability]) -> Rows:

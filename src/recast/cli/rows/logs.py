@@ -17,7 +17,7 @@ from recast.core.errors import printable
 from recast.logs.info import LogInfo, TrackInfo
 from recast.logs.plausibility import Figures
 from recast.scene import RegionScore, SceneEvaluation
-from recast.scene.importers import ImportRecord
+from recast.scene.imported import ImportRecord
 
 Cell = Callable[[TrackInfo], str]
 

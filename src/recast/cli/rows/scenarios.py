@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from PIL import Image
 from rich.console import Console
@@ -28,9 +28,6 @@ from recast.simulation import (
     prepare,
     scenario_name,
 )
-
-if TYPE_CHECKING:
-    from recast.protocols.neuroncap import ImportedFile
 
 
 @dataclass(frozen=True)
@@ -129,28 +126,6 @@ def show_scenarios(placed: Sequence[Placed], out: Path, console: Console) -> Non
     with files.atomic_file(out) as partial:
         Image.fromarray(draw_scenarios(shown)).save(partial, format="PNG")
     console.print(f"wrote {out}", markup=False)
-
-
-def import_lines(written: Sequence[ImportedFile], log_path: Path) -> list[str]:
-    """What was written, and the command that runs each file."""
-    lines = []
-    for one in written:
-        runs = ", ".join(map(str, one.seeds))
-        lines.append(f"{one.path}: runs {runs}; target {one.target}")
-        lines.append(
-            f"  recast run {log_path} --track {one.target} --motion {one.path} "
-            f"--steps {one.steps} --out RUN"
-        )
-    return lines
-
-
-def import_rows(written: Sequence[ImportedFile]) -> Rows:
-    """One row for each file."""
-    rows = [
-        {"file": one.path, "track_id": one.target, "runs": list(one.seeds), "steps": one.steps}
-        for one in written
-    ]
-    return {"scenarios": rows}
 
 
 def target_of(log: DrivingLog) -> str:

@@ -15,7 +15,6 @@ from recast.recar.turntable import TurntableFit
 from recast.recar.views import VehicleSource
 from recast.studies.actors import ActorEvaluation, TrackResult
 from recast.studies.generation.summary import STUDY_COLUMNS, StudyBlock
-from recast.studies.planner_probe import ProbeRow
 from recast.trellis.checkpoints import ModelCheck
 
 
@@ -153,25 +152,6 @@ def study_rows(blocks: Sequence[StudyBlock]) -> Rows:
             for vehicle, why in failed.items()
         ]
     return {"models": models, "differences": differences, "failures": failures}
-
-
-def probe_rows(rows: Sequence[ProbeRow]) -> Rows:
-    """One row for each scene, scenario and view of the target (visible or erased)."""
-    found: list[dict[str, Any]] = []
-    for row in rows:
-        for how in row.driven or ("",):
-            found.append(
-                {
-                    "scene": row.scene,
-                    "scenario": row.scenario,
-                    "target": how or None,
-                    "contact_s": row.collided.get(how),
-                    "nearest_m": row.nearest.get(how),
-                    "driven_m": row.driven.get(how),
-                    "problem": row.problem,
-                }
-            )
-    return {"rollouts": found}
 
 
 def _scores(scores: Mapping[str, float]) -> dict[str, float]:

@@ -1,0 +1,1 @@
+"""Commands that recast-bridges adds to `recast`."""

@@ -1,0 +1,202 @@
+"""Nodes of a portable MTGS checkpoint: their Gaussians, colours and places over time."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from recast.arrays import Array
+from recast.geometry import se3
+from recast.logs import DrivingLog, Trajectory
+from recast.logs.checks import WORLD_REACH
+from recast.scene.appearance import mirrored
+from recast.splats import Gaussians, concatenate
+from recast.splats.sh import C0, MAX_DEGREE
+from recast_bridges.scenes.checkpoint import Names, Table, read_gaussians, read_harmonics
+from recast_bridges.scenes.mtgs_odyssey import GROUND, ground_members
+
+SCENERY = ("VanillaGaussianSplattingModel", "SkyboxGaussianSplattingModel", GROUND)
+RIGID, MIRRORED = "RigidSubModel", "MirroredRigidSubModel"
+NAMES = Names("means", "features_rest", "scales", "quats", "opacities")
+CONSTANT = "features_dc"
+AWAY_M = 1000.0
+"""Actors are put this high in frames in which they are absent."""
+MOST_TERMS = 64
+_ANGLES = 360
+
+
+@dataclass(frozen=True)
+class Node:
+    """One model of the checkpoint.
+
+    Attributes:
+        token: what the log calls an actor, or background or skybox.
+        kind: class that the trainer had for it.
+        config, state, gaussians: settings, poses and Gaussians.
+    """
+
+    token: str
+    kind: str
+    config: Table
+    state: Table
+    gaussians: Table
+
+    @classmethod
+    def of(cls, root: Table, name: str, token: str) -> Node:
+        """The node `name` of a checkpoint.
+
+        Raises:
+            InputError: it has no configuration, type or state.
+        """
+        own = root.table(name)
+        config, state = own.table("config"), own.table("state_dict")
+        prefix = "gauss_params"
+        gaussians = state.table(prefix) if prefix in state else state.below(prefix)
+        return cls(token, config.text("type"), config, state, gaussians)
+
+    @property
+    def changing(self) -> bool:
+        """Whether its colours change."""
+        return self.config.number("fourier_features_dim", 0) != 0
+
+
+def fourier_terms(time: Tensor, terms: int, scale: float, angle: bool) -> Tensor:
+    """MTGS' basis (..., F) at times in [0, 1], or at angles in radians.
+
+    cos(i t w) for even i, sin((i + 1) t w) for odd i; w is 2 pi / F for times and 1 for angles.
+    """
+    order = torch.arange(terms, dtype=torch.float64)
+    phase = time[..., None] * scale * (1.0 if angle else 2 * math.pi / terms)
+    even = order % 2 == 0
+    return torch.where(even, torch.cos(phase * order), torch.sin(phase * (order + 1)))
+
+
+def read_gaussian_node(node: Node, share: float) -> Gaussians:
+    """The Gaussians of a node in its own frame, harmonics in the axes of the scene.
+
+    Args:
+        share: share of the node's time at which changing colours are frozen.
+
+    Raises:
+        InputError: a field is missing, of another shape, not finite, or out of range.
+    """
+    config, table = node.config, node.gaussians
+    degree = config.number("sh_degree")
+    if degree not in range(MAX_DEGREE + 1):
+        raise config.fault("sh_degree", f"is {degree:g}, expected 0 to {MAX_DEGREE}")
+    count = len(table.tensor(NAMES.means, None, 3))
+    constant = _constant(node, count, share)
+    rest = read_harmonics(table, NAMES.rest, count, degree)
+    changes = {NAMES.rest: rest}
+    if degree == 0:  # these colours are a sigmoid, not harmonics around a half
+        constant = (torch.sigmoid(constant) - 0.5) / C0
+    sides = config.number("scale_dim", 3)
+    if sides == 1:
+        changes[NAMES.log_scales] = table.tensor(NAMES.log_scales, count, 1).expand(count, 3)
+        changes[NAMES.quats] = torch.tensor([[1.0, 0, 0, 0]]).expand(count, 4)
+    elif sides != 3:
+        raise config.fault("scale_dim", f"is {sides:g}, expected 1 or 3")
+    if node.kind == GROUND:
+        changes |= ground_members(config, node.state, table, NAMES)
+    found = read_gaussians(table.changed(changes), NAMES, constant)
+    if node.kind != MIRRORED:
+        return found
+    return concatenate([found, mirrored(found, torch.ones(count, dtype=torch.bool))])
+
+
+def _constant(node: Node, count: int, share: float) -> Tensor:
+    """Constant colours (N, 3) at a share of the time, or averaged over all angles of view."""
+    if not node.changing:
+        return node.gaussians.tensor(CONSTANT, count, 3)
+    given = node.config.number("fourier_features_dim")
+    if given not in range(1, MOST_TERMS + 1):
+        raise node.config.fault("fourier_features_dim", f"is {given:g}, not 1 to {MOST_TERMS}")
+    terms = int(given)
+    features = node.gaussians.tensor(CONSTANT, count, terms, 3)
+    scale = node.config.number("fourier_features_scale", 1.0)
+    angle = "fourier_in_space" in node.config and node.config.text("fourier_in_space") != "temporal"
+    if angle:
+        around = torch.arange(_ANGLES, dtype=torch.float64) * (2 * math.pi / _ANGLES)
+        basis = fourier_terms(around, terms, scale, angle).mean(dim=0)
+    else:
+        basis = fourier_terms(torch.tensor(share, dtype=torch.float64), terms, scale, angle)
+    return torch.einsum("f,nfc->nc", basis.to(features), features)
+
+
+@dataclass(frozen=True)
+class Motion:
+    """Where an actor is.
+
+    Attributes:
+        trajectory: `world_from_actor` in the frames in which it is there.
+        static: whether the actor has one pose for the whole drive.
+        gaps: whether the actor is absent between two of these frames.
+    """
+
+    trajectory: Trajectory
+    static: bool
+    gaps: bool
+
+    def meets(self, log: DrivingLog) -> bool:
+        """Whether it is there in the log's time."""
+        first, last = log.world_from_rig.timestamps_us[[0, -1]]
+        times = self.trajectory.timestamps_us
+        return bool(times[0] <= last and times[-1] >= first)
+
+
+def read_motion(node: Node, log: DrivingLog, world_from_scene: Array) -> Motion | None:
+    """The places of an actor, or None if it is there in no frame, or in one of many.
+
+    An actor with one pose for the whole drive has it at the log's first and last time.
+
+    Raises:
+        InputError: a member is missing, of another shape or not finite, or times do not increase.
+    """
+    state, config = node.state, node.config
+    places = _rows(state, "instance_trans", 3)
+    turns = _rows(state, "instance_quats", 4)
+    if len(turns) != len(places):
+        raise state.fault("instance_quats", f"has {len(turns)} rows, not {len(places)}")
+    there = places[:, 2] < AWAY_M  # also not NaN
+    if "instance_valid" in state:
+        valid = state.array("instance_valid").reshape(-1)
+        if len(valid) != len(there):
+            raise state.fault("instance_valid", f"has {len(valid)} frames, not {len(there)}")
+        there &= valid > 0.5
+    rows, static = np.flatnonzero(there), len(places) == 1
+    if len(rows) < (1 if static else 2):
+        return None
+    if not np.all(np.abs(places[rows]) <= WORLD_REACH):
+        raise state.fault("instance_trans", "is not finite, or out of range")
+    norms = np.linalg.norm(turns[rows], axis=1)
+    if not np.all((norms > 1e-6) & (norms < 1e6)):
+        raise state.fault("instance_quats", "holds a quaternion of norm zero, or not finite")
+    poses = world_from_scene @ se3.from_rotation_translation(
+        se3.quat_to_matrix(turns[rows]), places[rows]
+    )
+    if static:
+        ends = log.world_from_rig.timestamps_us[[0, -1]].copy()
+        return Motion(Trajectory(ends, np.repeat(poses, 2, axis=0)), static=True, gaps=False)
+    times = config.array("log_timestamps").reshape(-1)
+    if len(times) != len(places):
+        raise config.fault("log_timestamps", f"has {len(times)} times for {len(places)} poses")
+    own = times[rows]
+    if not np.all((own >= 0) & (own < 2.0**53)) or not np.all(np.diff(own.round()) > 0):
+        raise config.fault("log_timestamps", "are not microseconds that increase")
+    gaps = bool(np.any(np.diff(rows) > 1))
+    return Motion(Trajectory(own.round().astype(np.int64), poses), static=False, gaps=gaps)
+
+
+def _rows(state: Table, name: str, width: int) -> Array:
+    """A row for each frame; axes of length one are dropped, as the renderer does."""
+    found = state.array(name)
+    rows = np.squeeze(found)
+    if rows.ndim == 1:
+        rows = rows[None]
+    if rows.ndim != 2 or rows.shape[1] != width:
+        raise state.fault(name, f"has shape {list(found.shape)}, expected [frames, {width}]")
+    return rows

@@ -1,0 +1,36 @@
+"""Scores of other benchmarks beside the headline metrics: NAVSIM v2, AlpaSim, NeuroNCAP."""
+
+from recast_bridges.scores.alpasim import SceneScore, alpasim_scene_score, off_road
+from recast_bridges.scores.driven import DrivenEpdms, driven_epdms
+from recast_bridges.scores.epdms import PlanScore, Situation, score_plan
+from recast_bridges.scores.idm_traffic import IdmTraffic
+from recast_bridges.scores.neuroncap import NcapScore, neuroncap_mean, neuroncap_score
+from recast_bridges.scores.submission import Scene, TokenScore, score_scene
+from recast_bridges.scores.two_stage import (
+    TwoStage,
+    TwoStageMapping,
+    two_stage,
+    write_two_stage,
+)
+
+__all__ = [
+    "DrivenEpdms",
+    "IdmTraffic",
+    "NcapScore",
+    "PlanScore",
+    "Scene",
+    "SceneScore",
+    "Situation",
+    "TokenScore",
+    "TwoStage",
+    "TwoStageMapping",
+    "alpasim_scene_score",
+    "driven_epdms",
+    "neuroncap_mean",
+    "neuroncap_score",
+    "off_road",
+    "score_plan",
+    "score_scene",
+    "two_stage",
+    "write_two_stage",
+]

@@ -1,1 +1,0 @@
-"""Other simulators' wire formats: recast as their renderer, and their renderers for recast."""

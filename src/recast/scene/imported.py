@@ -1,0 +1,300 @@
+"""Scenes that others made: their place in the log, the record of the import, files of Gaussians.
+
+Importers of checkpoints end in `write_imported`.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import re
+import shutil
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+import torch
+
+from recast.arrays import Array, Int64Array
+from recast.core.errors import InputError
+from recast.core.files import atomic_folder, read_text, require_new, write_json
+from recast.core.records import Record
+from recast.geometry import se3
+from recast.logs import DrivingLog, read_log, write_log
+from recast.logs.checks import WORLD_REACH
+from recast.scene.run import log_fingerprint
+from recast.scene.sky import SkyMap, read_sky
+from recast.scene.store import save_scene
+from recast.scene.street_scene import StreetScene
+from recast.splats import Gaussians
+from recast.splats.formats import format_of, read_gaussians
+
+TEXT_LIMIT = 1 << 16
+"""Bytes of a file of a few numbers, at most."""
+IMPORT_VERSION = 1
+IMPORT_FILE = "import.json"
+MATCHED_SHARE = 0.5
+"""With fewer ego positions within the background's bounds the frames are taken to differ."""
+
+
+@dataclass(frozen=True)
+class Placement:
+    """Scene coordinates to the log's world.
+
+    Attributes:
+        world_from_scene: (4, 4) rigid.
+        how: origin of the placement, one sentence for people.
+        scale: factor applied to scene coordinates first.
+    """
+
+    world_from_scene: Array
+    how: str
+    scale: float = 1.0
+
+
+def read_transform(path: Path) -> Array:
+    """A 4x4 matrix (16 numbers, row by row) or a translation (3 numbers): (4, 4).
+
+    Commas and brackets may stand between the numbers.
+
+    Raises:
+        InputError: it is missing, holds something else, or has another number of numbers.
+    """
+    mend = "write 3 or 16 numbers"
+    words = re.sub(r"[\[\],;]", " ", read_text(path, TEXT_LIMIT)).split()
+    try:
+        numbers = np.array(words, np.float64)
+    except ValueError as error:
+        raise InputError(path, "numbers", f"cannot be read ({error})", mend) from None
+    if len(numbers) not in (3, 16) or not np.all(np.abs(numbers) <= WORLD_REACH):  # also NaN
+        problem = f"{len(numbers)}, or not all within {WORLD_REACH:g}"
+        raise InputError(path, "numbers", problem, mend)
+    if len(numbers) == 3:
+        return se3.from_rotation_translation(np.eye(3), numbers)
+    return numbers.reshape(4, 4)
+
+
+def given_placement(path: Path, scalable: bool = False) -> Placement:
+    """The placement that a file tells.
+
+    Args:
+        scalable: whether the matrix may scale, by one factor for all axes.
+
+    Raises:
+        InputError: see `read_transform`; or the matrix shears, mirrors or scales.
+    """
+    matrix = read_transform(path)
+    block = matrix[:3, :3]
+    determinant = float(np.linalg.det(block))
+    scale = abs(determinant) ** (1 / 3)
+    unit = block / scale if determinant > 0 else np.zeros((3, 3))
+    rotates = np.allclose(unit @ unit.T, np.eye(3), 0, 1e-4)
+    if not rotates or not np.allclose(matrix[3], (0, 0, 0, 1)):
+        kind = "a rotation, translation and scale" if scalable else "a rotation and translation"
+        raise InputError(path, "matrix", f"is not {kind}", "write another one")
+    if not scalable and abs(scale - 1) > 1e-4:
+        raise InputError(path, "matrix", f"scales by {scale:.6g}", "write one in metres")
+    rigid = se3.from_rotation_translation(se3.nearest_rotations(block)[0], matrix[:3, 3])
+    return Placement(rigid, f"as given in {path.name}", scale if scalable else 1.0)
+
+
+def frame_times(log: DrivingLog, clock: str | None, first: int = 0) -> Int64Array:
+    """Times of the log's frames from `first` on: those of one of its sensors.
+
+    Args:
+        clock: a camera or LiDAR; where none is named, the LiDAR with most sweeps, else the camera
+            with most images.
+
+    Raises:
+        InputError: the log has no such sensor, or no frame `first`.
+    """
+    lidars = {name: lidar.timestamps_us for name, lidar in log.lidars.items()}
+    cameras = {name: camera.timestamps_us for name, camera in log.cameras.items()}
+    sensors = {**lidars, **cameras}
+    if clock is None:
+        clock = max(lidars or cameras, key=lambda name: len(sensors[name]), default="")
+    if clock not in sensors:
+        raise InputError(
+            log.name,
+            f"clock {clock!r}",
+            "is not a sensor of the log",
+            f"name one of {', '.join(sorted(sensors)) or 'none, there are no sensors'}",
+        )
+    times = sensors[clock]
+    if not 0 <= first < len(times):
+        raise InputError(
+            log.name, f"frame {first}", f"{clock} has frames 0 to {len(times) - 1}", "name another"
+        )
+    return times[first:]
+
+
+def drive_inside(log: DrivingLog, background: Gaussians) -> float:
+    """Share of the recorded ego positions within the bounds of the background, seen from above.
+
+    Bounds are the 1st and 99th percentile of the centres. Far less than 1 means that scene and log
+    do not lie in the same frame.
+    """
+    low, high = np.quantile(background.means[:, :2].numpy(), (0.01, 0.99), axis=0)
+    positions = log.world_from_rig.poses[:, :2, 3]
+    return float(np.all((positions >= low) & (positions <= high), axis=1).mean())
+
+
+class ImportRecord(Record):
+    """Contents of import.json.
+
+    Attributes:
+        layout: layout of the file: street-gaussians, drivestudio, mtgs, hugsim, ply, gltf, spz or
+            usd.
+        file, sha256: what was imported.
+        iteration: training step of a checkpoint.
+        log_name, log_fingerprint: the log it was placed in.
+        world_from_scene: 4x4, row by row; scene coordinates are scaled by `scale` first.
+        placed_by: origin of this transform.
+        drive_inside: share of the ego positions within the background's bounds.
+        tracks: track of the log by name in the file.
+        changed: what was carried over in another form, one sentence each.
+        left_out: what was not carried over, one sentence each.
+        warnings: what looks wrong.
+    """
+
+    version: int = IMPORT_VERSION
+    layout: str
+    file: str
+    sha256: str
+    iteration: int | None
+    log_name: str
+    log_fingerprint: str
+    world_from_scene: list[list[float]]
+    scale: float
+    placed_by: str
+    drive_inside: float
+    tracks: dict[str, str]
+    changed: list[str]
+    left_out: list[str]
+    warnings: list[str]
+
+
+def import_with_log(
+    log: DrivingLog, own_log: str | Path, make: Callable[[DrivingLog], ImportRecord]
+) -> ImportRecord:
+    """Write a log that was made of a scene's files and import the scene with it; both or neither.
+
+    Args:
+        own_log: folder to write the log to.
+        make: imports the scene with the log as it was written.
+
+    Raises:
+        InputError: `own_log` exists, the disk refuses, or the scene is refused.
+    """
+    write_log(log, own_log)
+    try:
+        return make(read_log(own_log))
+    except BaseException:
+        shutil.rmtree(own_log)
+        raise
+
+
+def write_imported(
+    source: Path,
+    log: DrivingLog,
+    out: str | Path,
+    placement: Placement,
+    scene: StreetScene,
+    *,
+    layout: str,
+    tracks: dict[str, str],
+    changed: Sequence[str] = (),
+    left_out: Sequence[str] = (),
+    warnings: Sequence[str] = (),
+    iteration: int | None = None,
+) -> ImportRecord:
+    """Write a scene that was placed in a log with its import.json, whole or not at all.
+
+    Args:
+        source: the file that was imported.
+        scene: scene in the log's world; it gets the log's name and offset.
+        layout, tracks, changed, left_out, warnings, iteration: see `ImportRecord`.
+
+    Raises:
+        InputError: `out` exists, the disk refuses, or the placed scene is not valid.
+    """
+    scene = replace(scene, world_offset=log.world_offset, log_name=log.name)
+    try:
+        scene.validate()
+    except ValueError as error:
+        mend = "check the placement and the values of the file"
+        raise InputError(source, "scene", str(error), mend) from None
+    inside = drive_inside(log, scene.background)
+    if inside < MATCHED_SHARE:
+        warnings = (
+            *warnings,
+            f"only {inside:.0%} of the recorded ego positions lie within the background: "
+            "scene and log seem to have different frames",
+        )
+    with source.open("rb") as file:
+        digest = hashlib.file_digest(file, "sha256").hexdigest()
+    record = ImportRecord(
+        layout=layout,
+        file=source.name,
+        sha256=digest,
+        iteration=iteration,
+        log_name=log.name,
+        log_fingerprint=log_fingerprint(log),
+        world_from_scene=np.asarray(placement.world_from_scene).tolist(),
+        scale=placement.scale,
+        placed_by=placement.how,
+        drive_inside=inside,
+        tracks=tracks,
+        changed=list(changed),
+        left_out=list(left_out),
+        warnings=list(warnings),
+    )
+    with atomic_folder(out) as partial:
+        write_json(partial / IMPORT_FILE, record.model_dump(mode="json"))
+        save_scene(scene, partial)
+    return record
+
+
+def import_gaussians(
+    path: str | Path,
+    log: DrivingLog,
+    out: str | Path,
+    world_from_file: Path | None = None,
+    sky: Path | None = None,
+) -> ImportRecord:
+    """Make a scene without actors of a PLY (INRIA layout), glTF, SPZ or OpenUSD file.
+
+    Files whose format has other axes are turned first, see `recast.splats.formats`.
+
+    Args:
+        world_from_file: text file with a 4x4 matrix or an offset from the file's coordinates
+            (turned: x forward, y left, z up) to the log's world; the matrix may scale. Without it
+            they are taken to be the same.
+        sky: equirectangular image as `recast scene export` writes it; black without it.
+
+    Raises:
+        InputError: a file is missing, broken or of no known format, it is empty, `out` exists.
+    """
+    path = Path(path)
+    require_new(out)
+    background = read_gaussians(path, double=True)
+    if len(background) == 0:
+        raise InputError(path, "Gaussians", "there are none", "export it again")
+    placement = Placement(np.eye(4), "taken for the log's world")
+    if world_from_file is not None:
+        placement = given_placement(world_from_file, scalable=True)
+        pose = torch.from_numpy(placement.world_from_scene)
+        background = background.transformed(pose, placement.scale)
+    seen = SkyMap.constant(torch.zeros(3)) if sky is None else read_sky(sky)
+    no_sky = "sky: the file has none, and no image of one was given; it is black"
+    layout = format_of(path).name
+    return write_imported(
+        path,
+        log,
+        out,
+        placement,
+        StreetScene(background, {}, seen),
+        layout=layout,
+        tracks={},
+        left_out=() if sky else (no_sky,),
+    )

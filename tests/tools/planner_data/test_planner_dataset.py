@@ -1,0 +1,186 @@
+"""One synthetic world, drawn from, rendered and scored as for the real dataset."""
+
+from __future__ import annotations
+
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from recast.core import open_store
+from recast.core.errors import InputError
+from recast.dynamics import PACIFICA
+from recast.synthetic import make_world
+from recast_tools.planner_data import reconstruction
+from recast_tools.planner_data.dataset import FIRST_SEED, make_dataset
+from recast_tools.planner_data.reconstruction import RECONSTRUCTED
+from recast_tools.planner_data.situation import draw_situation
+from recast_tools.planner_data.stage import Stage, make_stage, place_actor
+from recast_tools.planner_training.samples import (
+    RENDERERS,
+    DatasetRecord,
+    SampleStore,
+    world_folder,
+)
+from recast_tools.planner_training.targets import touched
+from recast_tools.planner_training.vocabulary import make_vocabulary
+
+pytest.importorskip("embreex")
+
+RECORD = DatasetRecord(per_world=2, speeds=1, seconds=14.0, scenes=("roundabout-approach",))
+
+
+@pytest.fixture(scope="module")
+def stage() -> Stage:
+    return make_stage("roundabout-approach", FIRST_SEED, 14.0)
+
+
+def test_situations_are_possible_and_follow_the_generator(stage: Stage) -> None:
+    for seed in range(6):
+        found = draw_situation(stage, True, 3, np.random.default_rng(seed))
+        again = draw_situation(stage, True, 3, np.random.default_rng(seed))
+        assert found is not None
+        assert again is not None
+        assert found.actor is not None
+        np.testing.assert_array_equal(found.states, again.states)
+        assert not touched(found.states[0], found.obstacles, PACIFICA)
+        assert not any(found.actor.meets(other) for other in (*found.others, *found.parked))
+        assert np.ptp(found.states[:, :3], axis=0).max() == 0.0
+        _, lateral = stage.route.project(found.states[0])
+        assert abs(float(lateral)) <= 1.2 + 1e-6
+        assert found.without_actor().actor is None
+        assert len(found.without_actor().obstacles) == len(found.obstacles) - 1
+
+
+def test_what_is_placed_is_where_a_run_could_have_brought_it(stage: Stage) -> None:
+    """Played vehicles come with the ego's speed; the gap is that between the two boxes. In front of
+    some the ego waits."""
+    placed = [place_actor(stage, np.random.default_rng(seed)) for seed in range(90)]
+    there = [one for one in placed if one is not None]
+    waiting = [one for one in there if one.ego_speed is not None and one.ego_speed <= 1.5]
+    played = [one for one in there if one.ego_speed is not None and one.ego_speed > 1.5]
+    assert 0.15 * len(there) < len(played) < 0.6 * len(there)
+    assert 0.08 * len(there) < len(waiting) < 0.4 * len(there)
+    assert any(one.ego_speed == 0.0 for one in waiting)
+    assert all(one.gap <= 12.0 for one in waiting)
+    for one in there:
+        s, lateral = stage.route.project(one.obstacle.poses)
+        assert one.s == pytest.approx(float(s[0]), abs=0.05)
+        assert one.slowest >= 0.0
+        assert one.slowest <= max(one.speed + 0.5, 0.0)
+        if abs(float(lateral[0])) < 1.0:  # in the ego's lane: never within its box
+            assert one.gap >= 0.8
+        else:
+            assert one.gap >= -7.0
+        assert one.gap <= 53.0
+
+
+def test_a_dataset_of_one_world(tmp_path: Path) -> None:
+    out, vocabulary = tmp_path / "data", make_vocabulary(64)
+    assert make_dataset(out, 1, RECORD, vocabulary) == 2
+    store = SampleStore(out)
+    assert store.image(0).shape == (128, 512, 3)
+    assert store.image(0).std() > 10
+    assert store.scores.shape == (2, 1, 6, 64)
+    assert store.status.shape == (2, 1, 8)
+    assert store.by_renderer() == {"oracle": 2, "native": 0, "replaced": 0, "refined": 0}
+    assert not (tmp_path / "store").exists()
+    written = {path: path.stat().st_mtime_ns for path in out.rglob("*") if path.is_file()}
+    assert make_dataset(out, 2, RECORD, vocabulary) == 2
+    assert all(path.stat().st_mtime_ns == then for path, then in written.items())
+    with pytest.raises(InputError, match="settings"):
+        make_dataset(out, 1, RECORD.model_copy(update={"seed": 1}), vocabulary)
+    with pytest.raises(InputError, match="another one"):
+        make_dataset(out, 1, RECORD, make_vocabulary(64, seed=1))
+
+
+@pytest.mark.slow
+def test_a_reconstructed_world_shows_its_target_in_three_ways(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """And what the store holds gives the same bytes again."""
+    monkeypatch.setattr(reconstruction, "_EVERY", 10)
+    monkeypatch.setattr(reconstruction, "DEFAULT_GENERATOR", "template")
+    record = DatasetRecord(
+        per_world=6,
+        speeds=1,
+        seconds=14.0,
+        scenes=("roundabout-approach",),
+        reconstructed=1.0,
+        street_steps=30,
+    )
+    out, again, vocabulary = tmp_path / "data", tmp_path / "again", make_vocabulary(64)
+    make_dataset(out, 1, record, vocabulary)
+    made = sorted(path.name for path in (tmp_path / "store").iterdir())
+    assert {"actors", "logs", "scenes"} <= set(made)
+    store = SampleStore(out)
+    names = [RENDERERS[index] for index in store.renderer]
+    assert names == [RECONSTRUCTED[index // 2] for index in range(6)]
+    assert (store.clues[:, 0] > 0).any()
+    assert all(store.image(index).std() > 10 for index in range(6))
+    twins = np.flatnonzero(store.twin >= 0)
+    np.testing.assert_array_equal(store.renderer[twins], store.renderer[store.twin[twins]])
+
+    def making(*_: object, **__: object) -> None:
+        raise AssertionError("is in the store already")
+
+    for name in ("drive_log", "train_with_display", "make_actor", "refine_actor"):
+        monkeypatch.setattr(f"recast.runs.making.{name}", making)
+    make_dataset(again, 1, record, vocabulary)
+    for path in sorted(path for path in out.rglob("*.*") if path.is_file()):
+        assert (again / path.relative_to(out)).read_bytes() == path.read_bytes()
+
+
+@pytest.mark.parametrize(("where", "is_the_log"), [("street-3", True), ("/a/disk", False)])
+def test_a_target_that_is_hardly_seen_is_no_error_and_a_full_disk_is_one(
+    where: str, is_the_log: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refuses(*_: object) -> None:
+        raise InputError(where, "track target", "is too far away", "come nearer")
+
+    source = SimpleNamespace(log=SimpleNamespace(name="street-3"))
+    monkeypatch.setattr(reconstruction, "drive_world", lambda *_: SimpleNamespace(path=tmp_path))
+    monkeypatch.setattr(reconstruction.SourceLog, "open", lambda _: source)
+    monkeypatch.setattr(reconstruction, "train_street", lambda *_: None)
+    monkeypatch.setattr(reconstruction, "register_vehicle", refuses)
+    world = make_world("urban-straight", 3, 1.0)
+    if is_the_log:
+        assert reconstruction.reconstruct(world, open_store(tmp_path), 1) is None
+    else:
+        with pytest.raises(InputError, match="too far"):
+            reconstruction.reconstruct(world, open_store(tmp_path), 1)
+
+
+@pytest.mark.slow
+def test_killed_and_repeated_it_has_the_same_bytes(tmp_path: Path) -> None:
+    vocabulary = make_vocabulary(64)
+    make_dataset(tmp_path / "whole", 4, RECORD, vocabulary, workers=2)
+    np.save(tmp_path / "vocabulary.npy", vocabulary)
+    code = (
+        "import sys, numpy as np\n"
+        "from pathlib import Path\n"
+        "from recast_tools.planner_data.dataset import make_dataset\n"
+        "from recast_tools.planner_training.samples import DatasetRecord\n"
+        f"record = DatasetRecord.model_validate({RECORD.model_dump()!r})\n"
+        "folder = Path(sys.argv[1])\n"
+        "make_dataset(folder / 'parts', 4, record, np.load(folder / 'vocabulary.npy'))\n"
+    )
+    command = [sys.executable, "-c", code, str(tmp_path)]
+    first = subprocess.Popen(command)
+    while not world_folder(tmp_path / "parts", 0).exists():
+        assert first.poll() is None
+        time.sleep(0.2)
+    time.sleep(3.0)  # into the second world
+    first.send_signal(signal.SIGKILL)
+    first.wait()
+    assert not world_folder(tmp_path / "parts", 1).exists()
+    subprocess.run(command, check=True)
+    for path in sorted((tmp_path / "whole").rglob("*.*")):
+        other = tmp_path / "parts" / path.relative_to(tmp_path / "whole")
+        if path.is_file():
+            assert other.read_bytes() == path.read_bytes()

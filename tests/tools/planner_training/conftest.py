@@ -1,0 +1,79 @@
+"""A straight road, and a small dataset on it whose pictures show what is in the way."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import shapely
+
+from recast.core.files import write_json
+from recast.dynamics import make_state
+from recast.planning import DrivingCommand
+from recast.planning.gtrs.scores import write_vocabulary
+from recast.planning.map import PlannerLane, PlannerMap
+from recast.planning.pdm import LanePath
+from recast.planning.types import ego_status
+from recast_tools.planner_training.samples import (
+    CLUES,
+    RECORD_FILE,
+    VOCABULARY_FILE,
+    DatasetRecord,
+    Sample,
+    world_folder,
+    write_world,
+)
+from recast_tools.planner_training.targets import FORESEEN, Obstacle, Road, score_vocabulary
+from recast_tools.planner_training.vocabulary import make_vocabulary
+
+
+def straight_road(speed: float = 10.0) -> Road:
+    """One lane 3.6 m wide along x from -50 to 200 m, with a metre of shoulder on both sides."""
+    line = np.stack([np.arange(-50.0, 200.5, 0.5), np.zeros(501), np.zeros(501)], axis=1)
+    lane = PlannerLane("lane", "block", line, shapely.box(-50, -1.8, 200, 1.8))
+    planner_map = PlannerMap({"lane": lane}, drivable=[shapely.box(-50, -2.8, 200, 2.8)])
+    return Road(planner_map, ("lane",), LanePath(line), np.full(len(line), speed))
+
+
+def moving(x: float, y: float = 0.0, heading: float = 0.0, speed: float = 0.0) -> Obstacle:
+    """A car whose middle is there now and goes on straight."""
+    way = 0.1 * speed * np.arange(FORESEEN + 1)[:, None] * [np.cos(heading), np.sin(heading)]
+    poses = np.concatenate([way + np.array([x, y]), np.full((FORESEEN + 1, 1), heading)], axis=1)
+    return Obstacle("car", poses, np.array([4.5, 1.9, 1.5]))
+
+
+@pytest.fixture(scope="session")
+def vocabulary() -> np.ndarray:
+    return make_vocabulary(128, seed=0)
+
+
+@pytest.fixture(scope="session")
+def small_dataset(tmp_path_factory: pytest.TempPathFactory, vocabulary: np.ndarray) -> Path:
+    """Ten worlds of two twins each: a car on the road, as a red patch, and without."""
+    folder = tmp_path_factory.mktemp("planner") / "data"
+    write_vocabulary(folder / VOCABULARY_FILE, vocabulary)
+    record = DatasetRecord(per_world=2, speeds=2, scenes=("made-up",))
+    write_json(folder / RECORD_FILE, record.model_dump(mode="json"))
+    rng = np.random.default_rng(0)
+    road = straight_road()
+    for number in range(10):
+        gap = float(rng.uniform(8, 20))
+        states = make_state(np.zeros((2, 3)), rng.uniform(4, 9, 2))
+        samples = []
+        for present in (True, False):
+            image = rng.integers(100, 120, (128, 512, 3)).astype(np.uint8)
+            clues = np.zeros(len(CLUES), np.float32)
+            if present:
+                image[60:90, 240:270] = 200, 20, 20
+                clues[:5] = 1, gap, 0, 1, 0
+            found = [
+                score_vocabulary(vocabulary, state, road, [moving(gap)] if present else [])
+                for state in states
+            ]
+            status = np.stack([ego_status(DrivingCommand.STRAIGHT, state) for state in states])
+            scores = np.stack([one.scores for one in found])
+            best = np.array([one.best for one in found], np.int32)
+            samples.append(Sample(image, status, scores, best, clues))
+        write_world(world_folder(folder, number), samples, [1, 0])
+    return folder

@@ -1,0 +1,1 @@
+"""Commands that recast-tools adds to `recast`."""

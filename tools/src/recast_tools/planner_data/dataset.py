@@ -1,0 +1,259 @@
+"""`recast planner dataset`: worlds of samples, made by several processes; resumes and grows."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from recast.arrays import Image
+from recast.core import Store, open_store
+from recast.core.errors import InputError, require_range
+from recast.core.files import alone_in, write_json
+from recast.core.progress import Progress
+from recast.core.ray_cluster import worker_pool
+from recast.core.records import read_record
+from recast.dynamics import state as ego
+from recast.geometry import se2
+from recast.planning.gtrs.scores import Trajectories, read_vocabulary, write_vocabulary
+from recast.planning.types import ego_status
+from recast.runs.layout import STORE_FOLDER
+from recast.synthetic import make_world
+from recast.synthetic.oracle import Oracle
+from recast.synthetic.rig import make_rig
+from recast_tools.planner_data.reconstruction import (
+    RECONSTRUCTED,
+    Painter,
+    Reconstruction,
+    reconstruct,
+    traced,
+)
+from recast_tools.planner_data.situation import Situation, draw_situation
+from recast_tools.planner_data.stage import Stage, make_stage
+from recast_tools.planner_training.samples import (
+    CLUES,
+    MEND,
+    RECORD_FILE,
+    VERSION,
+    VOCABULARY_FILE,
+    DatasetRecord,
+    Renderer,
+    Sample,
+    world_folder,
+    write_world,
+)
+from recast_tools.planner_training.targets import score_vocabulary
+from recast_tools.planner_training.task import HALF_VIEWS
+from recast_tools.planner_training.vocabulary import mirror_index
+
+_LOOK_AHEAD = (10.0, 20.0, 30.0)
+"""Metres at which the route's offset is told as a clue."""
+_SEEN = np.deg2rad(68.0)
+FIRST_SEED = 1000
+"""Of training worlds; those below are for evaluation."""
+_WORLDS_PER_SEED = 100_000
+_WITH_ACTOR = 0.86
+_TWIN = 0.42
+"""Share of second samples that are the first one's without its vehicle. With it 70 % of all
+samples have a vehicle placed."""
+
+
+def make_dataset(
+    out: Path,
+    count: int,
+    record: DatasetRecord,
+    vocabulary: Trajectories,
+    *,
+    store: str | Path | None = None,
+    workers: int = 1,
+    progress: Progress | None = None,
+) -> int:
+    """Make at least `count` samples; worlds that are there already are kept.
+
+    The files are the same for any number of workers and of interruptions.
+
+    Args:
+        store: folder or address of the logs, streets and vehicles of reconstructed worlds; `store/`
+            beside `out` if None.
+
+    Returns:
+        How many samples there are: whole worlds.
+
+    Raises:
+        InputError: `out` holds samples of other settings or another vocabulary, the vocabulary is
+            not symmetrical, embreex is missing, a count or number of workers is below
+            one, or another process is at work there.
+    """
+    from recast.synthetic.rendering import require_embree
+
+    require_range(1, samples=count, workers=workers)
+    require_embree()
+    mirror_index(vocabulary)
+    _open(out, record, vocabulary)
+    worlds = -(-count // record.per_world)
+    left = [i for i in range(worlds) if not world_folder(out, i).exists()]
+    done, numbers = worlds - len(left), iter(left)
+
+    def report() -> None:
+        if progress is not None:
+            progress(done * record.per_world, worlds * record.per_world)
+
+    report()
+    os.environ.setdefault("OMP_NUM_THREADS", "1")  # of the processes, whose numpy loads later
+    pool = worker_pool(min(workers, len(left)) or 1)
+    place = str(out.absolute().parent / STORE_FOLDER if store is None else store)
+    with alone_in(out):
+        for _ in pool(_start, (out, record, place), lambda: next(numbers, None), "finished worlds"):
+            done += 1
+            report()
+    return worlds * record.per_world
+
+
+def _start(worker: int, out: Path, record: DatasetRecord, store: str) -> Callable[[int], None]:
+    del worker  # makes no difference
+    return partial(make_world_samples, out, record=record, store=open_store(store))
+
+
+def make_world_samples(out: Path, number: int, record: DatasetRecord, store: Store) -> None:
+    """Make the samples of one world; they depend on the record, the vocabulary and the number.
+
+    A world whose log shows too little of its target is rendered by the oracle, too.
+    """
+    scene = record.scene_of(number)
+    seed = FIRST_SEED + _WORLDS_PER_SEED * record.seed + number
+    vocabulary = read_vocabulary(out / VOCABULARY_FILE)
+    shown = None
+    if record.is_reconstructed(number):
+        shown = reconstruct(make_world(scene, seed, record.seconds), store, record.street_steps)
+    stage = make_stage(scene, seed, record.seconds) if shown is None else shown.stage
+    oracle = Oracle(stage.world) if shown is None else None
+    samples: list[Sample] = []
+    twins: list[int] = []
+    before: Situation | None = None
+    while len(samples) < record.per_world:
+        index = len(samples)
+        rng = np.random.default_rng([seed, record.seed, index])
+        situation, twin = _next(stage, before, index, record.speeds, rng)
+        renderer, paint = _painter(shown, oracle, number + index // 2, rng)
+        image = render(paint, stage, situation)
+        samples.append(describe(stage, situation, image, renderer, vocabulary))
+        twins.append(index - 1 if twin else -1)
+        if twin:
+            twins[index - 1] = index
+        before = situation
+    write_world(world_folder(out, number), samples, twins)
+
+
+def _painter(
+    shown: Reconstruction | None, oracle: Oracle | None, turn: int, rng: np.random.Generator
+) -> tuple[Renderer, Painter]:
+    """What renders a sample; the variants of a reconstruction take turns."""
+    if shown is None:
+        assert oracle is not None
+        return "oracle", traced(oracle, rng)
+    renderer = RECONSTRUCTED[turn % len(RECONSTRUCTED)]
+    return renderer, shown.painter(renderer)
+
+
+def _next(
+    stage: Stage, before: Situation | None, index: int, speeds: int, rng: np.random.Generator
+) -> tuple[Situation, bool]:
+    """A situation, and whether it is the one before without its vehicle."""
+    second = index % 2 == 1
+    if second and before is not None and before.actor is not None and rng.uniform() < _TWIN:
+        return before.without_actor(), True
+    with_actor = bool(rng.uniform() < _WITH_ACTOR)
+    found = draw_situation(stage, with_actor, speeds, rng)
+    if found is None:  # no room for a vehicle in this street: an empty one, then
+        found = draw_situation(stage, False, speeds, rng)
+    if found is None:
+        raise InputError(
+            stage.world.name,
+            f"seed {stage.world.seed}",
+            "has no room for the ego",
+            "this should not happen; take another `seed`",
+        )
+    return found, False
+
+
+def _open(out: Path, record: DatasetRecord, vocabulary: Trajectories) -> None:
+    path = out / RECORD_FILE
+    if path.exists():
+        if read_record(path, DatasetRecord, VERSION, MEND, record.format) != record:
+            raise InputError(path, "settings", "differ from those asked for", MEND)
+        if not np.array_equal(read_vocabulary(out / VOCABULARY_FILE), vocabulary):
+            raise InputError(out / VOCABULARY_FILE, "vocabulary", "is another one", MEND)
+        return
+    # A kill may have left the vocabulary without the record.
+    if out.exists() and any(entry.name != VOCABULARY_FILE for entry in out.iterdir()):
+        raise InputError(out, "output folder", "holds something else", "name another one")
+    write_vocabulary(out / VOCABULARY_FILE, vocabulary)
+    write_json(path, record.model_dump(mode="json"))  # last: where it is, the vocabulary is
+
+
+def render(paint: Painter, stage: Stage, situation: Situation) -> Image:
+    """(128, 512, 3) uint8: the three views cropped and stitched; only what is kept is rendered."""
+    poses = (
+        {}
+        if situation.actor is None
+        else {situation.actor.obstacle.token: situation.actor.world_from_actor}
+    )
+    for other in situation.others:
+        vehicle = stage.world.vehicles[other.token]
+        poses[other.token] = stage.surface.actor_poses(other.poses[:1], vehicle.model.size)[0]
+    world_from_rig = stage.surface.ego_poses(situation.states[0, ego.POSE])
+    layout = HALF_VIEWS
+    rig = make_rig(layout.width, layout.height, layout.cameras)
+    parts = []
+    for name in layout.cameras:
+        mounted = rig.cameras[name]
+        margin = 0 if name == layout.cameras[1] else layout.crop_columns
+        camera = mounted.camera.cropped(
+            margin,
+            layout.crop_rows,
+            layout.width - 2 * margin,
+            layout.height - 2 * layout.crop_rows,
+        )
+        parts.append(paint(name, camera, world_from_rig @ mounted.rig_from_camera, poses))
+    return np.concatenate(parts, axis=1)
+
+
+def describe(
+    stage: Stage,
+    situation: Situation,
+    image: Image,
+    renderer: Renderer,
+    vocabulary: Trajectories,
+) -> Sample:
+    """The sample of a situation and its picture."""
+    targets = [
+        score_vocabulary(vocabulary, state, stage.road, situation.obstacles)
+        for state in situation.states
+    ]
+    return Sample(
+        image=image,
+        status=np.stack([ego_status(situation.command, state) for state in situation.states]),
+        scores=np.stack([found.scores for found in targets]),
+        best=np.array([found.best for found in targets], np.int32),
+        clues=_clues(stage, situation),
+        renderer=renderer,
+    )
+
+
+def _clues(stage: Stage, situation: Situation) -> NDArray[np.float32]:
+    """What the picture tells, see `CLUES`."""
+    pose = situation.states[0, ego.POSE]
+    clues = np.zeros(len(CLUES), np.float32)
+    if situation.actor is not None:
+        x, y, heading = se2.relative(pose, situation.actor.obstacle.poses[0])
+        if x > 0 and abs(np.arctan2(y, x)) < _SEEN:
+            clues[:5] = 1.0, x, y, np.cos(heading), np.sin(heading)
+    s, lateral = stage.route.project(pose)
+    turn = se2.wrap_angle(pose[2] - stage.route.heading(s))
+    ahead = se2.relative(pose, stage.route.pose(s + np.array(_LOOK_AHEAD)))[:, 1]
+    clues[5:] = lateral, turn, *ahead
+    return clues

@@ -1,0 +1,352 @@
+"""The small planner: its sizes and settings, and what a step of its training sees and minimises."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from pydantic import Field, ValidationError
+from torch import Tensor, nn
+from torch.nn import functional
+
+from recast.core.errors import InputError
+from recast.core.files import read_json
+from recast.core.records import Record, validation_error
+from recast.dynamics.comfort import comfortable_plans
+from recast.planning.gtrs import (
+    METRICS,
+    BackboneConfig,
+    GtrsConfig,
+    GtrsModel,
+    ScoreWeights,
+    StageConfig,
+    network_input,
+    new_model,
+    training_loss,
+)
+from recast.planning.gtrs.config import ViewLayout
+from recast.planning.gtrs.scores import DEMONSTRATED, vocabulary_dropout
+from recast.training.task import StepLoss, StepRandom, TrainerSettings, overridden
+from recast_tools.planner_training.samples import (
+    CLUES,
+    SampleStore,
+    augment,
+    mirror_clues,
+    mirror_image,
+    mirror_status,
+)
+from recast_tools.planner_training.targets import SCORED, unpacked
+from recast_tools.planner_training.vocabulary import mirror_index
+
+_SCALES = (1.0, 12.0, 3.0, 1.0, 1.0, 0.4, 0.06, 0.6, 1.5, 3.0)
+"""Usual sizes of the clues."""
+_CLUE_WEIGHT = 1.0
+
+MINI_VIEWS = ViewLayout(
+    width=480, height=320, crop_rows=32, crop_columns=104, input_width=512, input_height=128
+)
+"""Three cameras of the synthetic rig in the loop: 272 + 480 + 272 columns, averaged two by two."""
+
+HALF_VIEWS = ViewLayout(
+    width=240, height=160, crop_rows=16, crop_columns=52, input_width=512, input_height=128
+)
+"""The same rendered at half the size, for the training: a quarter of the cost."""
+
+
+@dataclass(frozen=True)
+class Batch:
+    """Samples as tensors: B pictures, K speeds of each, L trajectories.
+
+    Attributes:
+        images: (B, 3, H, W) images in [0, 1].
+        status: (B K, 8) status vectors, those of a picture one after another.
+        trajectories: (L, 40, 3) trajectories that are scored.
+        targets: (B K, L) target sub-scores, by metric head.
+        demonstration: (B K, 8, 3) poses of the best trajectories of the whole vocabulary.
+        clues: (B, 10).
+    """
+
+    images: Tensor
+    status: Tensor
+    trajectories: Tensor
+    targets: Mapping[str, Tensor]
+    demonstration: Tensor
+    clues: Tensor
+
+
+class GtrsTask:
+    """Trains a GTRS model on stored samples, with the loss of the released training.
+
+    Half of a batch is drawn; the other half are their twins, the same situations with or without
+    the vehicle, where there are some, and else other samples. Half of all are mirrored, and all
+    but one in seven altered, see `augment`. Each picture is looked at once and scored at all its
+    speeds, with a part of the vocabulary that is drawn for the step: twins have the same speeds,
+    so that nothing but the picture tells them apart.
+
+    Args:
+        store: store of the samples.
+        indices: indices of the samples to train on.
+        model: model that is trained; for the vocabulary of the store.
+        reader: reader that is trained with it, and not part of the planner.
+        batch: samples a step; even.
+        kept: trajectories scored in a step; all where the vocabulary has fewer.
+    """
+
+    def __init__(
+        self,
+        store: SampleStore,
+        indices: NDArray[np.int64],
+        model: GtrsModel,
+        reader: ClueReader,
+        batch: int,
+        kept: int,
+    ) -> None:
+        self.store, self.indices, self.batch = store, indices, batch
+        self._kept = min(kept, len(store.vocabulary))
+        self.model, self.reader = model, reader
+        self.modules: Mapping[str, nn.Module] = {"gtrs": model, "reader": reader}
+        self._mirror = mirror_index(store.vocabulary)
+        self.vocabulary = torch.from_numpy(store.vocabulary)
+        self.comfortable = torch.from_numpy(comfortable_plans(store.vocabulary))
+
+    def loss(self, step: int, random: StepRandom) -> StepLoss:
+        """Loss of the batch of a step, and its terms."""
+        rng = random.numpy
+        drawn = rng.choice(self.indices, self.batch // 2, replace=False)
+        twins = self.store.twin[drawn]
+        others = rng.choice(self.indices, len(drawn), replace=False)
+        chosen = np.concatenate([drawn, np.where(twins >= 0, twins, others)])
+        mirrored = rng.uniform(size=len(chosen)) < 0.5
+        images = [augment(self.store.image(index), rng) for index in chosen]
+        scored = vocabulary_dropout(len(self.vocabulary), self._kept, random.torch).numpy()
+        every = np.arange(self.store.status.shape[1])
+        found = self.of(self.gather(chosen, every, mirrored, images, scored))
+        return StepLoss(sum_of(found), {k: float(v.detach()) for k, v in found.items()})
+
+    def gather(
+        self,
+        chosen: NDArray[np.int64],
+        speeds: NDArray[np.int64],
+        mirrored: NDArray[np.bool_],
+        images: Sequence[NDArray[np.uint8]] | None = None,
+        scored: NDArray[np.int64] | None = None,
+    ) -> Batch:
+        """Samples as a batch.
+
+        Args:
+            chosen: (B,) indices of the samples.
+            speeds: (K,) indices of the ego's speeds, the same for all samples.
+            mirrored: (B,) whether a sample is taken in the mirror.
+            images: pictures instead of the stored ones.
+            scored: (L,) indices of the trajectories; None for all.
+        """
+        store, twice = self.store, self._mirror
+        if scored is None:
+            scored = np.arange(len(twice))
+        pictures = [store.image(i) for i in chosen] if images is None else list(images)
+        at = np.ix_(chosen, speeds)
+        # Of a mirrored sample a trajectory has the score that its mirror image has in the sample.
+        columns = np.where(mirrored[:, None], twice[scored], scored)[:, None, None]
+        scores = unpacked(np.take_along_axis(store.scores[at], columns, axis=-1))
+        status, best, clues = store.status[at], store.best[at].astype(np.int64), store.clues[chosen]
+        for row in np.flatnonzero(mirrored):
+            pictures[row] = mirror_image(pictures[row])
+            status[row], clues[row] = mirror_status(status[row]), mirror_clues(clues[row])
+            best[row] = twice[best[row]]
+        scores = np.moveaxis(scores, 2, 0).reshape(len(SCORED), -1, len(scored))
+        targets = {name: torch.from_numpy(scores[i]) for i, name in enumerate(SCORED)}
+        targets[METRICS[6]] = torch.ones_like(targets[SCORED[0]])
+        # Channels last, as the pictures come: a step takes a fifth less.
+        return Batch(
+            torch.stack([network_input(picture) for picture in pictures]).contiguous(
+                memory_format=torch.channels_last
+            ),
+            torch.from_numpy(status).flatten(0, 1),
+            self.vocabulary[torch.from_numpy(scored)],
+            targets,
+            self.vocabulary[torch.from_numpy(best.ravel())][:, DEMONSTRATED],
+            torch.from_numpy(clues),
+        )
+
+    def of(self, batch: Batch) -> dict[str, Tensor]:
+        """Terms of the loss by name."""
+        features = self.model.backbone(batch.images)
+        logits = self.logits(features, batch)
+        terms = training_loss(logits, batch.targets, batch.trajectories, batch.demonstration)
+        read = self.reader(self.model.image_tokens(features))
+        terms["clues"] = _CLUE_WEIGHT * self.reader.loss(read, batch.clues)
+        return terms
+
+    def logits(self, features: Tensor, batch: Batch) -> dict[str, Tensor]:
+        """Of every head (B K, L), from the backbone's features (B, C, h, w) of a batch's images."""
+        speeds = len(batch.status) // len(features)
+        return self.model.score(
+            features.repeat_interleave(speeds, dim=0), batch.status, batch.trajectories
+        )
+
+
+def sum_of(terms: Mapping[str, Tensor]) -> Tensor:
+    """Of all terms: the loss."""
+    return torch.stack(list(terms.values())).sum()
+
+
+class ClueReader(nn.Module):
+    """One learned query looks over the image tokens; an MLP names the clues.
+
+    The scores of trajectories depend on the picture only where something is in the way. This loss
+    teaches the backbone from the first step on where the vehicle and the road are.
+
+    Args:
+        channels: number of channels of the tokens.
+        generator: random generator of the first weights.
+    """
+
+    scales: Tensor
+
+    def __init__(self, channels: int, generator: torch.Generator) -> None:
+        super().__init__()
+        self.weigh = nn.Linear(channels, 4)
+        self.read = nn.Sequential(
+            nn.Linear(4 * channels, channels), nn.ReLU(), nn.Linear(channels, len(CLUES))
+        )
+        self.register_buffer("scales", torch.tensor(_SCALES), persistent=False)
+        with torch.no_grad():
+            for part in self.modules():
+                if isinstance(part, nn.Linear):
+                    nn.init.xavier_uniform_(part.weight, generator=generator)
+                    nn.init.zeros_(part.bias)
+
+    def forward(self, tokens: Tensor) -> Tensor:
+        """Image tokens (B, T, d) to clues (B, 10), in units of `scales`; the first is a logit."""
+        weights = self.weigh(tokens).softmax(dim=1)
+        pooled = torch.einsum("btq,btd->bqd", weights, tokens).flatten(1)
+        return self.read(pooled)
+
+    def loss(self, found: Tensor, clues: Tensor) -> Tensor:
+        """Presence by cross-entropy; the vehicle's place where it is there; the road always."""
+        present = clues[:, 0]
+        wanted = clues / self.scales
+        misses = functional.smooth_l1_loss(found, wanted, reduction="none")
+        vehicle = (misses[:, 1:5].mean(dim=1) * present).sum() / present.sum().clamp(min=1.0)
+        seen = functional.binary_cross_entropy_with_logits(found[:, 0], present)
+        return seen + 2.0 * vehicle + misses[:, 5:].mean()
+
+
+def _stage(blocks: int, conv_channels: int, out_channels: int) -> StageConfig:
+    return StageConfig(blocks=blocks, conv_channels=conv_channels, out_channels=out_channels)
+
+
+MINI = GtrsConfig(
+    backbone=BackboneConfig(
+        stem=(16, 16, 32),
+        stages=(_stage(1, 24, 48), _stage(1, 48, 96), _stage(3, 64, 192)),
+        layers=3,
+        frozen_norm=False,
+    ),
+    channels=128,
+    feedforward=192,
+    heads=4,
+    decoder_layers=2,
+    token_rows=8,
+    token_columns=32,
+)
+"""A backbone that ends at stride 16: a vehicle 40 m ahead is 11 of 512 columns wide."""
+
+MINI_SCORING = ScoreWeights(
+    imitation=0.03,
+    no_collision=8.0,
+    drivable_area=2.0,
+    direction=0.2,
+    traffic_light=0.1,
+    average=6.0,
+    time_to_collision=15.0,
+    progress=7.0,
+    lane_keeping=6.0,
+    comfort=2.0,
+)
+"""Weights of the final score, chosen on held-out samples of training worlds, as the published
+ones were on a validation set: a small network is less sure, and collisions weigh more. Comfort
+decides between trajectories that are about as safe."""
+
+_USUAL = {
+    "no_at_fault_collisions": 1.0,
+    "drivable_area_compliance": 1.0,
+    "traffic_light_compliance": 5.0,
+}
+"""Logits that the heads begin with, where most trajectories are fine."""
+
+
+def first_model(seed: int, config: GtrsConfig = MINI) -> GtrsModel:
+    """The network before its first step; the vocabulary embedding is scaled to metres."""
+    model = new_model(config, torch.Generator().manual_seed(seed))
+    with torch.no_grad():
+        # Raw metres come in, tens of them: unit weights would drown all else in a few entries.
+        first = model.head.pos_embed[0]
+        assert isinstance(first, torch.nn.Linear)
+        first.weight.mul_(0.1)
+        for name, logit in _USUAL.items():
+            last = model.head.heads[name][-1]  # type: ignore[index]
+            last.bias.fill_(logit)
+    return model
+
+
+class PlannerTrainingConfig(Record):
+    """How the planner is trained; the defaults are the shipped one's.
+
+    Attributes:
+        trainer: optimiser and schedule.
+        network: sizes.
+        scoring: score weights of the exported planner, by which it is judged too.
+        batch: samples a step, even.
+        kept: trajectories of the vocabulary that are scored in a step.
+        oracle_only: leave out samples that show a reconstruction, those held out too.
+        judged: held-out samples that each line of the log is judged on; at the end all are.
+        sheet_every: steps between sheets of held-out decisions; 0 draws none.
+    """
+
+    trainer: TrainerSettings = TrainerSettings(
+        steps=4_800,
+        lr=6e-4,
+        schedule="cosine",
+        warmup=300,
+        ema_decay=0.998,
+        clip=2.0,
+        checkpoint_every=250,
+        log_every=250,
+    )
+    network: GtrsConfig = MINI
+    scoring: ScoreWeights = MINI_SCORING
+    batch: int = Field(default=8, ge=2, multiple_of=2)
+    kept: int = Field(default=192, ge=1)
+    oracle_only: bool = False
+    judged: int = Field(default=96, ge=2)
+    sheet_every: int = Field(default=2_000, ge=0)
+
+
+def chosen_training(
+    path: Path | None, seed: int = 0, steps: int | None = None, oracle_only: bool = False
+) -> PlannerTrainingConfig:
+    """The shipped planner's settings, with what a JSON file and the arguments say instead.
+
+    Raises:
+        InputError: the file is missing, no JSON object, or names what does not exist.
+    """
+    chosen = PlannerTrainingConfig().model_dump(mode="json")
+    if path is not None:
+        said = read_json(path)
+        if not isinstance(said, dict):
+            raise InputError(path, "JSON", "is not an object", "write what differs, by name")
+        chosen = overridden(chosen, said)
+    chosen["trainer"]["seed"] = seed
+    if steps is not None:
+        chosen["trainer"]["steps"] = steps
+    if oracle_only:
+        chosen["oracle_only"] = True
+    try:
+        return PlannerTrainingConfig.model_validate(chosen)
+    except ValidationError as error:
+        raise validation_error(path or "`steps`", error, "see the defaults") from None

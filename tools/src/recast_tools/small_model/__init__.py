@@ -1,0 +1,1 @@
+"""Recipe of `recast-mini`: assets, autoencoders, image encoder, and the assembled model."""
