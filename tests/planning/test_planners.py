@@ -5,7 +5,17 @@ import pytest
 from recorded_paths import arc, context, observe
 
 from recast.geometry import se2
-from recast.planning import ConstantVelocity, IdmLaneFollower, LogReplay, Plan, Planner
+from recast.planning import (
+    BasePlanner,
+    ConstantVelocity,
+    IdmLaneFollower,
+    LogReplay,
+    Plan,
+    Planner,
+    PlannerInput,
+    PlanningContext,
+    whole_planner,
+)
 
 
 @pytest.mark.parametrize("planner", [ConstantVelocity(), LogReplay(), IdmLaneFollower()])
@@ -60,3 +70,65 @@ def test_planning_before_reset_is_named(planner: Planner) -> None:
 def test_plans_are_checked(waypoints: np.ndarray, message: str) -> None:
     with pytest.raises(ValueError, match=message):
         Plan(waypoints).validate()
+
+
+class Bare:
+    """What a planner must have, and one optional member."""
+
+    name, needs_images, camera_names = "bare", True, ("front",)
+
+    def reset(self, context: PlanningContext) -> None: ...
+
+    def plan(self, observation: PlannerInput) -> Plan:
+        return Plan(np.zeros((40, 3)))
+
+
+class Derived(BasePlanner):
+    name, needs_images = "derived", True
+
+    def plan(self, observation: PlannerInput) -> Plan:
+        return Plan(np.zeros((40, 3)))
+
+
+def test_optional_members_have_defaults() -> None:
+    for planner, cameras in ((Bare(), ("front",)), (Derived(), None)):
+        assert isinstance(planner, Planner)
+        whole = whole_planner(planner)
+        assert (whole is planner) is isinstance(planner, BasePlanner)
+        assert whole.camera_names == whole.choose_cameras({}) == cameras
+        assert whole.wanted_views == () and whole.device is None and whole.record_fields == {}
+        assert not whole.replays_log and not whole.shared
+        whole.finish_rollout()
+        assert np.all(whole.plan(None).waypoints == 0)  # type: ignore[arg-type]
+
+
+def test_members_of_another_class_are_used() -> None:
+    class Own(Bare):
+        record_fields, shared, done = {"weights": "v2"}, True, False
+
+        def choose_cameras(self, mounts: object) -> dict[str, str]:
+            return {"mine": "left"}
+
+        def finish_rollout(self) -> None:
+            self.done = True
+
+    planner = Own()
+    whole = whole_planner(planner)
+    assert whole.record_fields == {"weights": "v2"} and whole.shared
+    assert whole.choose_cameras({}) == {"mine": "left"}
+    whole.finish_rollout()
+    assert planner.done
+
+
+def test_a_slip_in_an_optional_name_is_warned_about() -> None:
+    class Slipped(Bare):
+        wanted_veiws = ()
+
+    with pytest.warns(UserWarning, match=r"Slipped has wanted_veiws.* is it wanted_views\?"):
+        whole_planner(Slipped())
+    with pytest.warns(UserWarning, match=r"has finish_rolout.* is it finish_rollout\?"):
+
+        class Also(BasePlanner):
+            name = "also"
+
+            def finish_rolout(self) -> None: ...

@@ -4,7 +4,6 @@ from recast.planning.cameras import (
     ShownView,
     camera_choice,
     looked_at,
-    named_cameras,
     planner_cameras,
     seen_lines,
     seen_record,
@@ -27,12 +26,15 @@ from recast.planning.simple import ConstantVelocity, LogReplay
 from recast.planning.types import (
     WAYPOINTS,
     ActorState,
+    BasePlanner,
     Candidates,
     Plan,
     Planner,
+    PlannerAround,
     PlannerInput,
     PlanningContext,
     ego_status,
+    whole_planner,
 )
 
 __all__ = [
@@ -41,6 +43,7 @@ __all__ = [
     "PLANNERS",
     "WAYPOINTS",
     "ActorState",
+    "BasePlanner",
     "Candidates",
     "ConstantVelocity",
     "DrivingCommand",
@@ -49,6 +52,7 @@ __all__ = [
     "LogReplay",
     "Plan",
     "Planner",
+    "PlannerAround",
     "PlannerInput",
     "PlanningContext",
     "ReferenceRoute",
@@ -57,7 +61,6 @@ __all__ = [
     "ego_status",
     "looked_at",
     "make_planner",
-    "named_cameras",
     "planner_cameras",
     "planner_device",
     "planner_folder",
@@ -68,4 +71,5 @@ __all__ = [
     "shipped_folder",
     "shown_views",
     "virtual_mounts",
+    "whole_planner",
 ]

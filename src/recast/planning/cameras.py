@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from recast.cameras import CameraMount, View
+from recast.cameras import CameraMount
 from recast.cameras.mounts import (
     WITHIN_DEGREES,
     Look,
@@ -24,7 +24,7 @@ from recast.cameras.mounts import (
     seen_by,
 )
 from recast.core.errors import InputError
-from recast.planning.types import Planner
+from recast.planning.types import Planner, whole_planner
 
 NEEDED = 0.5
 """Share of a picture ahead that the log's cameras must see; nobody can drive by less."""
@@ -33,17 +33,6 @@ ENOUGH = 0.9
 """Share of any picture below which the user is warned."""
 
 _AHEAD = Look.level(0.0, 60.0)
-
-
-def wanted_views(planner: Planner) -> tuple[View, ...]:
-    """The planner's attribute `wanted_views`; () where it has none."""
-    return tuple(getattr(planner, "wanted_views", ()))
-
-
-def named_cameras(planner: Planner) -> tuple[str, ...] | None:
-    """The planner's attribute `camera_names`; None where it has none."""
-    names = getattr(planner, "camera_names", None)
-    return None if names is None else tuple(names)
 
 
 def planner_cameras(
@@ -58,9 +47,9 @@ def camera_choice(
 ) -> dict[str, str]:
     """What the planner calls its cameras, and which ones are rendered for that.
 
-    In this order: none where it needs no images; what its method `choose_cameras(mounts)` returns,
-    names or a mapping to names; its attribute `camera_names`; `otherwise`. The planner may lack the
-    method and the attribute.
+    In this order: none if it needs no images; what its method `choose_cameras(mounts)` returns,
+    names or a mapping to names, which are its `camera_names` unless it has a method of its own;
+    `otherwise`.
 
     Args:
         otherwise: names of cameras for planners that do not say; None for all.
@@ -70,8 +59,7 @@ def camera_choice(
     """
     if not planner.needs_images:
         return {}
-    choose = getattr(planner, "choose_cameras", None)
-    names = named_cameras(planner) if choose is None else choose(mounts)
+    names = whole_planner(planner).choose_cameras(mounts)
     if names is None:
         names = tuple(mounts if otherwise is None else otherwise)
     choice = dict(names) if isinstance(names, Mapping) else {name: name for name in names}
@@ -100,10 +88,11 @@ def virtual_mounts(
     direction of the view, at the place of the camera that stands for it (see `match_cameras`), or
     of the one that sees most of it. And those cameras of `nuplan_rig` that the planner names.
     """
-    views, rig = wanted_views(planner), nuplan_rig(scale)
+    planner = whole_planner(planner)
+    views, rig = planner.wanted_views, nuplan_rig(scale)
     made = {
         name: replace(rig[name], seen=seen_by(rig[name], mounts.values()))
-        for name in named_cameras(planner) or ()
+        for name in planner.camera_names or ()
         if name in rig and name not in mounts
     }
     chosen = choose_views(views, mounts)
@@ -132,7 +121,7 @@ def looked_at(planner: Planner, mounts: Mapping[str, CameraMount]) -> dict[str, 
     `wanted_views`; where it looks at a camera otherwise, that is left whole.
     """
     windows: dict[str, list[tuple[int, int, int, int]]] = {}
-    views = {view.name: view for view in wanted_views(planner)}
+    views = {view.name: view for view in whole_planner(planner).wanted_views}
     for wanted, name in camera_choice(planner, mounts).items():
         camera = mounts[name].camera
         whole = 0, 0, camera.width, camera.height
@@ -183,7 +172,7 @@ def shown_views(planner: Planner, mounts: Mapping[str, CameraMount]) -> tuple[Sh
         InputError: see `camera_choice`; or the log's cameras see less than half of a picture that
             looks ahead.
     """
-    views = {view.name: view for view in wanted_views(planner)}
+    views = {view.name: view for view in whole_planner(planner).wanted_views}
     real = {name: mount for name, mount in mounts.items() if mount.seen is None}
     shown = []
     for wanted, name in camera_choice(planner, mounts).items():
@@ -216,11 +205,12 @@ def shown_views(planner: Planner, mounts: Mapping[str, CameraMount]) -> tuple[Sh
 def seen_record(planner: Planner, mounts: Mapping[str, CameraMount]) -> dict[str, Any]:
     """JSON-able: the planner's name, where it computes if it says, what it gets to see, and its
     own `record_fields`."""
+    planner = whole_planner(planner)
     return {
         "planner": planner.name,
-        "device": getattr(planner, "device", None),
+        "device": planner.device,
         "views": [asdict(view) for view in shown_views(planner, mounts)],
-        **getattr(planner, "record_fields", {}),
+        **planner.record_fields,
     }
 
 
@@ -229,10 +219,10 @@ def seen_lines(planner: Planner, mounts: Mapping[str, CameraMount]) -> tuple[str
 
     ("", None) for a planner that needs no images and says nothing of itself.
     """
-    device = getattr(planner, "device", None)
+    planner = whole_planner(planner)
+    device, record = planner.device, planner.record_fields
     shown = shown_views(planner, mounts)
     sees = f" sees {'; '.join(map(str, shown))}" if shown else ""
-    record = getattr(planner, "record_fields", {})
     facts = "".join(f", {key} {fact}" for key, fact in record.items() if isinstance(fact, str))
     said = f"planner {planner.name}{f' on {device}' if device else ''}{facts}{sees}"
     low = [view for view in shown if view.seen < ENOUGH]

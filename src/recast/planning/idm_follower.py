@@ -13,7 +13,14 @@ from recast.dynamics import state as ego
 from recast.dynamics.idm import NUPLAN_PLANNER
 from recast.geometry import boxes, se2
 from recast.planning.route import ReferenceRoute, route_lanes
-from recast.planning.types import WAYPOINTS, ActorState, Plan, PlannerInput, PlanningContext
+from recast.planning.types import (
+    WAYPOINTS,
+    ActorState,
+    BasePlanner,
+    Plan,
+    PlannerInput,
+    PlanningContext,
+)
 
 _MOVING = 0.5
 """Speed in m/s from which a vehicle in the next lane may be about to change lanes."""
@@ -63,7 +70,7 @@ class _Lead:
     reserve: float  # metres of the gap that an oncoming one needs to stop
 
 
-class IdmLaneFollower:
+class IdmLaneFollower(BasePlanner):
     """State-conditioned: reads boxes and velocities, predicts them at constant velocity.
 
     The path is the reference route with a quintic return to it; the speed follows the intelligent

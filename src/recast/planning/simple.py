@@ -16,10 +16,16 @@ from numpy.typing import ArrayLike, NDArray
 from recast.dynamics import initial_state
 from recast.dynamics import state as ego
 from recast.geometry import se2
-from recast.planning.types import WAYPOINTS, Plan, PlannerInput, PlanningContext
+from recast.planning.types import (
+    WAYPOINTS,
+    BasePlanner,
+    Plan,
+    PlannerInput,
+    PlanningContext,
+)
 
 
-class _Blind:
+class _Blind(BasePlanner):
     """Knows the times of its waypoints, and sees nothing."""
 
     needs_images = False
@@ -44,7 +50,7 @@ class ConstantVelocity(_Blind):
         return Plan(waypoints)
 
 
-class LogReplay:
+class LogReplay(BasePlanner):
     """Waypoints are the logged poses of the coming 4 s.
 
     A rollout puts the ego onto the log's states, without a tracker: the replay is the log itself.

@@ -1,16 +1,18 @@
-"""The seam between the simulator and the planner under test: what goes in, what comes out."""
+"""The interface between simulator and planner under test: what goes in, what comes out."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import warnings
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from difflib import get_close_matches
 from typing import Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from recast.arrays import Array, Image
-from recast.cameras import CameraMount
+from recast.cameras import CameraMount, View
 from recast.dynamics import PACIFICA, EgoState, VehicleParameters
 from recast.dynamics import state as ego
 from recast.logs.hdmap import HdMap
@@ -150,18 +152,7 @@ class Planner(Protocol):
     """Drives the ego. One instance may drive many rollouts, one after the other.
 
     What it is given is read-only: copy an array before you change it. What it returns is copied.
-
-    It may also have `camera_names`, the only cameras to be rendered for it; or
-    `choose_cameras(mounts)`, which returns their names once it is known which there are, or a
-    mapping from its own names to them; see `recast.planning.camera_choice`. With `wanted_views`, a
-    tuple of `recast.cameras.View`, it gets virtual cameras where no camera of the log will do; see
-    `recast.planning.virtual_mounts`. For records, `device` says where it computes, and the mapping
-    `record_fields` what else there is to say. `finish_rollout()` is called by `run_rollout` after
-    each rollout, also after one that failed.
-    If `replays_log` is true, its plans are the logged poses, and a rollout executes the logged
-    states themselves: the tracker's error would make them another drive.
-    If `shared` is true, one program behind it serves all processes, so no two of them may use it at
-    once.
+    These members are enough; `BasePlanner` has all others, with their defaults.
 
     Attributes:
         needs_images: whether `PlannerInput.images` must be filled; rendering costs far more than
@@ -176,6 +167,134 @@ class Planner(Protocol):
 
     def plan(self, observation: PlannerInput) -> Plan:
         """Plan the next 4 s from what is seen now."""
+
+
+class BasePlanner:
+    """A `Planner` with all members that are asked for: derive yours from it to have the defaults.
+
+    A planner of another class may have any of them, too; see `whole_planner`.
+
+    Attributes:
+        camera_names: the only cameras to be rendered for it; None for those that the setup names.
+        wanted_views: views for which it gets virtual cameras where no camera of the log will do;
+            see `recast.planning.virtual_mounts`.
+        device: where it computes, for records.
+        replays_log: whether its plans are the logged poses. A rollout then executes the logged
+            states themselves: the tracker's error would make them another drive.
+        shared: whether one program behind it serves all processes, so that no two of them may use
+            it at once.
+    """
+
+    name: str
+    needs_images: bool = False
+    camera_names: Sequence[str] | None = None
+    wanted_views: Sequence[View] = ()
+    device: str | None = None
+    replays_log: bool = False
+    shared: bool = False
+
+    def __init_subclass__(cls) -> None:
+        super().__init_subclass__()
+        _warn_of_slips(cls)
+
+    @property
+    def record_fields(self) -> Mapping[str, str | float]:
+        """What else records shall say of it."""
+        return {}
+
+    def reset(self, context: PlanningContext) -> None:
+        """Forget the last rollout and prepare for the next."""
+
+    def plan(self, observation: PlannerInput) -> Plan:
+        """Plan the next 4 s from what is seen now."""
+        raise NotImplementedError(f"{type(self).__name__} must have the method plan")
+
+    def choose_cameras(
+        self, mounts: Mapping[str, CameraMount]
+    ) -> Sequence[str] | Mapping[str, str] | None:
+        """Names of the cameras to render, or a mapping from its own names to them.
+
+        Args:
+            mounts: cameras that there are; see `recast.planning.camera_choice`.
+
+        Returns:
+            None for the cameras that the setup names.
+        """
+        return self.camera_names
+
+    def finish_rollout(self) -> None:
+        """Called by `run_rollout` after each rollout, also after one that failed."""
+
+
+class PlannerAround(BasePlanner):
+    """A planner that does what another one does; members that the other lacks have the defaults.
+
+    Args:
+        planner: the other one, of any class.
+    """
+
+    def __init__(self, planner: Planner) -> None:
+        self.planner = planner
+        self.name, self.needs_images = planner.name, planner.needs_images
+        for name in _PLAIN:
+            setattr(self, name, getattr(planner, name, getattr(BasePlanner, name)))
+
+    @property
+    def record_fields(self) -> Mapping[str, str | float]:
+        """See `BasePlanner`."""
+        found: Mapping[str, str | float] = getattr(self.planner, "record_fields", {})
+        return found
+
+    def reset(self, context: PlanningContext) -> None:
+        """See `Planner`."""
+        self.planner.reset(context)
+
+    def plan(self, observation: PlannerInput) -> Plan:
+        """See `Planner`."""
+        return self.planner.plan(observation)
+
+    def choose_cameras(
+        self, mounts: Mapping[str, CameraMount]
+    ) -> Sequence[str] | Mapping[str, str] | None:
+        """See `BasePlanner`."""
+        choose = getattr(self.planner, "choose_cameras", super().choose_cameras)
+        found: Sequence[str] | Mapping[str, str] | None = choose(mounts)
+        return found
+
+    def finish_rollout(self) -> None:
+        """See `BasePlanner`."""
+        getattr(self.planner, "finish_rollout", super().finish_rollout)()
+
+
+_PLAIN = ("camera_names", "wanted_views", "device", "replays_log", "shared")
+_METHODS = ("record_fields", "choose_cameras", "finish_rollout", "needs_images")
+
+
+def whole_planner(planner: Planner) -> BasePlanner:
+    """The planner if it has all members, else one around it, which has the defaults.
+
+    A member of another class whose name is nearly that of an optional one is warned about.
+    """
+    if isinstance(planner, BasePlanner):
+        return planner
+    _warn_of_slips(type(planner))
+    return PlannerAround(planner)
+
+
+def _warn_of_slips(kind: type) -> None:
+    known = (*_PLAIN, *_METHODS)
+    for name in vars(kind):
+        near = get_close_matches(name, known, 1, _ALIKE) if name not in known else []
+        if near and not name.startswith("_") and not hasattr(BasePlanner, name):
+            warnings.warn(
+                f"{kind.__module__}.{kind.__qualname__} has {name}, which recast does not ask for; "
+                f"is it {near[0]}?",
+                stacklevel=3,
+            )
+
+
+_ALIKE = 0.85
+"""Ratio of `difflib` from which two names are taken for a slip: "wanted_veiws" has 0.92."""
 
 
 def ego_status(command: DrivingCommand, state: ArrayLike) -> NDArray[np.float32]:

@@ -17,7 +17,13 @@ from recast.core.errors import InputError
 from recast.core.names import folder_name
 from recast.core.progress import Progress
 from recast.logs import DrivingLog, HdMap, map_of, read_log
-from recast.planning import Plan, Planner, PlannerInput, PlanningContext, make_planner
+from recast.planning import (
+    Plan,
+    Planner,
+    PlannerAround,
+    PlannerInput,
+    make_planner,
+)
 from recast.runs.arms import Arm
 from recast.runs.config import RunConfig
 from recast.runs.layout import ACTOR_FOLDER, rollout_name, use_name, use_parts
@@ -233,24 +239,17 @@ def _runner(
     return Runner(log, hdmap, config.track, {**own, **MOTIONS}, planners, config.steps, run)
 
 
-class _Counted:
+class _Counted(PlannerAround):
     """A planner that tells how far the rollout has come."""
 
     def __init__(self, planner: Planner, on_step: Progress, steps: int) -> None:
-        self._planner, self._on_step, self._steps = planner, on_step, steps
-        self.name, self.needs_images = planner.name, planner.needs_images
-
-    def __getattr__(self, name: str) -> object:
-        return getattr(self._planner, name)
-
-    def reset(self, context: PlanningContext) -> None:
-        """See `Planner`."""
-        self._planner.reset(context)
+        super().__init__(planner)
+        self._on_step, self._steps = on_step, steps
 
     def plan(self, observation: PlannerInput) -> Plan:
         """See `Planner`."""
         self._on_step(observation.step, self._steps)
-        return self._planner.plan(observation)
+        return super().plan(observation)
 
 
 def _run(

@@ -7,7 +7,7 @@ import pickle
 import signal
 import sys
 import traceback
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import replace
 from multiprocessing import util
@@ -24,7 +24,14 @@ from recast.core.diagnostics import Diagnostics
 from recast.core.errors import InputError
 from recast.core.foreign import ForeignCode, read_only
 from recast.core.workers import Closing, end_with_parent, use_threads
-from recast.planning import Plan, Planner, PlannerInput, PlanningContext
+from recast.planning import (
+    Plan,
+    Planner,
+    PlannerAround,
+    PlannerInput,
+    PlanningContext,
+    whole_planner,
+)
 
 _GRACE = 2.0
 """Seconds that a planner has to end its rollout before its process is killed."""
@@ -36,7 +43,7 @@ class PlannerCalls:
     """Calls of a planner in this process; what it is given is read-only, its plans are copies."""
 
     def __init__(self, planner: Planner) -> None:
-        self.planner = planner
+        self.planner = whole_planner(planner)
         self._guard = ForeignCode(f"planner {planner.name}")
 
     def reset(self, context: PlanningContext) -> None:
@@ -67,9 +74,9 @@ class PlannerCalls:
         return checked_plan(plan, f"planner {self.planner.name}"), took
 
     def finish(self) -> None:
-        """Call `finish_rollout`, if the planner has that."""
+        """Call the planner's `finish_rollout`."""
         with self._guard.call("finish_rollout"):
-            getattr(self.planner, "finish_rollout", lambda: None)()
+            self.planner.finish_rollout()
 
 
 def checked_plan(plan: object, who: str, verb: str = "returned") -> Plan:
@@ -87,11 +94,11 @@ def checked_plan(plan: object, who: str, verb: str = "returned") -> Plan:
     return replace(plan, waypoints=np.array(plan.waypoints, np.float64))
 
 
-class PlannerProcess(Closing):
+class PlannerProcess(Closing, PlannerAround):
     """A planner in a process of its own, which is ended if a plan takes too long.
 
-    It is itself a `Planner`, whose other attributes are those of the planner in this process. The
-    other process starts with the next rollout, and again after one that was ended. Close it.
+    It is itself a planner, whose other members are those of the planner in this process. The other
+    process starts with the next rollout, and again after one that was ended. Close it.
 
     Args:
         planner: the planner.
@@ -100,16 +107,20 @@ class PlannerProcess(Closing):
     """
 
     def __init__(self, planner: Planner, make: Callable[[], Planner] | None = None) -> None:
-        self.planner, self._make = planner, make
-        self.name, self.needs_images = planner.name, planner.needs_images
+        super().__init__(planner)
+        self._make = make
         self._records: dict[str, Any] = {}
         self._connection: Connection | None = None
         self._end: Callable[[], object] = lambda: None
 
-    def __getattr__(self, name: str) -> Any:
-        if name == "record_fields" and self._records:
-            return self._records
-        return getattr(self.planner, name)
+    @property
+    def record_fields(self) -> Mapping[str, str | float]:
+        """What the planner said in its process after the last rollout; before one, as here."""
+        return self._records or super().record_fields
+
+    def finish_rollout(self) -> None:
+        """As `finish`."""
+        self.finish()
 
     def reset(self, context: PlanningContext) -> None:
         """Begin a rollout.
@@ -246,7 +257,7 @@ def _serve(
         if method == "reset":
             return calls.reset(given)
         calls.finish()
-        return dict(getattr(calls.planner, "record_fields", {}))
+        return dict(calls.planner.record_fields)
 
     if threads is not None:
         import torch  # noqa: F401  # random numbers and threads are those of the other process

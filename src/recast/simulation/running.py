@@ -13,7 +13,12 @@ from recast.arrays import Array, Image
 from recast.dynamics import state as ego
 from recast.geometry import se2
 from recast.logs.types import DrivingLog, Track, Trajectory
-from recast.planning import Planner, looked_at, planner_cameras
+from recast.planning import (
+    Planner,
+    looked_at,
+    planner_cameras,
+    whole_planner,
+)
 from recast.simulation.motions import Stationary
 from recast.simulation.plan_execution import EgoController, LqrController
 from recast.simulation.planner_calls import PlannerCalls, PlannerProcess, calling
@@ -74,7 +79,7 @@ def run_rollout(
         cameras=seen,
         planner=planner.name,
         timings=timings,
-        replay=bool(getattr(planner, "replays_log", False)),
+        replay=whole_planner(planner).replays_log,
     )
     with calling(planner, setup.plan_limit_s) as calls, _finishing(calls):
         calls.reset(replace(simulator.context, cameras=shown))

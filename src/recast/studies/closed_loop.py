@@ -16,7 +16,11 @@ from recast.core import files
 from recast.core.errors import InputError, printable
 from recast.core.progress import ProgressBar
 from recast.logs import read_log
-from recast.planning import Planner, make_planner
+from recast.planning import (
+    Planner,
+    make_planner,
+    whole_planner,
+)
 from recast.runs.arms import truth_of
 from recast.runs.display import failure_lines
 from recast.runs.planner_cameras import (
@@ -162,7 +166,7 @@ def _require_unshared(planners: Mapping[str, Planner], workers: int, ray: str | 
     Raises:
         InputError: names the planner.
     """
-    shared = next((word for word, one in planners.items() if getattr(one, "shared", False)), None)
+    shared = next((word for word, one in planners.items() if whole_planner(one).shared), None)
     if shared is not None and (workers != 1 or ray is not None):
         problem = "is one program, which drives one rollout at a time"
         raise InputError("`planner`", shared, problem, "use one worker, and no `ray`")

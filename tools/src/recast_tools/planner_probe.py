@@ -16,8 +16,7 @@ from recast.core.artefact import value_hash
 from recast.core.errors import InputError
 from recast.logs import DrivingLog, Track
 from recast.metrics.collision import no_collision
-from recast.planning import Planner, make_planner
-from recast.planning.cameras import wanted_views
+from recast.planning import Planner, make_planner, whole_planner
 from recast.runs.sources import RECIPES, planner_source
 from recast.simulation import (
     Rollout,
@@ -121,7 +120,9 @@ def probe(request: ProbeRequest, on_row: Callable[[ProbeRow], None]) -> list[Pro
     if not planner.needs_images:
         raise InputError("planner", planner.name, "reads no images", "probe one that does")
     width, height = _SIZE
-    wanted = {(view.camera.width, view.camera.height) for view in wanted_views(planner)}
+    wanted = {
+        (view.camera.width, view.camera.height) for view in whole_planner(planner).wanted_views
+    }
     if not request.full_size and wanted == {_SIZE}:
         width, height = width // 2, height // 2
     motions = [motion for name in request.motions for motion in parse_motions(name)]

@@ -12,7 +12,14 @@ import numpy as np
 from recast.cameras import CameraMount
 from recast.core.errors import InputError
 from recast.core.workers import Closing
-from recast.planning import WAYPOINTS, LogReplay, Plan, PlannerInput, PlanningContext
+from recast.planning import (
+    WAYPOINTS,
+    BasePlanner,
+    LogReplay,
+    Plan,
+    PlannerInput,
+    PlanningContext,
+)
 from recast.planning.cameras import require_cameras
 from recast_bridges.alpasim.driven_plan import DrivenPlan
 from recast_bridges.alpasim.driver_session import DriverSession, driver_version
@@ -45,7 +52,7 @@ class _Drive:
     log_drove: float = 0.0
 
 
-class AlpaSimDriver(Closing):
+class AlpaSimDriver(Closing, BasePlanner):
     """Drives what a driver of AlpaSim answers; a `Planner` and a context manager.
 
     Each rollout is a session of its own, on a connection of its own. `run_rollout` has it closed
@@ -83,17 +90,13 @@ class AlpaSimDriver(Closing):
         if cameras is not None and not isinstance(cameras, Mapping):
             cameras = {name: name for name in cameras}
         self._cameras = cameras
+        self.camera_names = None if cameras is None else tuple(cameras.values())
         self.needs_images = cameras is None or bool(cameras)
         self._format, self._seed, self._warm_up = _FORMATS[image_format], seed, warm_up
         self._patience = deadline, tuple(pauses)
         self._log = LogReplay()  # drives until there is a plan
         self._drive: _Drive | None = None
         self._log_drove = 0.0  # in the last rollout
-
-    @property
-    def camera_names(self) -> tuple[str, ...] | None:
-        """The log's names of the cameras, where they were given."""
-        return None if self._cameras is None else tuple(self._cameras.values())
 
     def choose_cameras(self, mounts: Mapping[str, CameraMount]) -> Mapping[str, str] | None:
         """Driver's name to the log's; None if no cameras were given."""

@@ -15,7 +15,13 @@ from recast.core.errors import InputError
 from recast.core.plugins import PLANNERS, code_source
 from recast.planning.cameras import require_cameras
 from recast.planning.splines import spline_through
-from recast.planning.types import WAYPOINTS, Plan, PlannerInput, PlanningContext
+from recast.planning.types import (
+    WAYPOINTS,
+    BasePlanner,
+    Plan,
+    PlannerInput,
+    PlanningContext,
+)
 from recast_bridges.navsim.agent_input import InputBuilder, navsim_classes
 from recast_bridges.navsim.types import HISTORY_FRAMES, NAVSIM_CAMERAS, rig_cameras
 
@@ -36,7 +42,7 @@ class NavsimAgent(Protocol):
         """`AgentInput` to `Trajectory`."""
 
 
-class NavsimPlanner:
+class NavsimPlanner(BasePlanner):
     """Drives what a NAVSIM agent answers; initialises it once, at once.
 
     Trajectories at other intervals than the simulator's are interpolated, see `resample`; of longer
@@ -87,13 +93,9 @@ class NavsimPlanner:
         self._given = cameras
         if cameras is not None:
             require_cameras(self._frames, cameras, self._who)
+            self.camera_names = tuple(cameras[name] for name in self._frames)
         self._builder: InputBuilder | None = None
         self._times = 0.1 * np.arange(1, WAYPOINTS + 1)
-
-    @property
-    def camera_names(self) -> tuple[str, ...] | None:
-        """The rig's cameras, where they were named; None where the log decides."""
-        return None if self._given is None else tuple(self._given[name] for name in self._frames)
 
     @property
     def _who(self) -> str:

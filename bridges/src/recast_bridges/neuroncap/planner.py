@@ -23,7 +23,13 @@ from recast.core.json_service import JsonService
 from recast.dynamics import state as ego
 from recast.geometry import se2, se3
 from recast.planning.route import ReferenceRoute
-from recast.planning.types import WAYPOINTS, Plan, PlannerInput, PlanningContext
+from recast.planning.types import (
+    WAYPOINTS,
+    BasePlanner,
+    Plan,
+    PlannerInput,
+    PlanningContext,
+)
 from recast_bridges.neuroncap.wire import ncap_cameras, raw_image
 
 ALIVE_S, RESET_S, INFER_S = 10.0, 60.0, 300.0
@@ -65,7 +71,7 @@ def neuroncap_planner(word: str) -> NeuroNcapPlanner:
     return NeuroNcapPlanner(service, label or f"neuroncap-{service.host}-{service.port}")
 
 
-class NeuroNcapPlanner:
+class NeuroNcapPlanner(BasePlanner):
     """Drives what another program answers.
 
     One program has one state, so only one rollout may use it at a time.

@@ -12,7 +12,7 @@ from torch import Tensor
 
 from recast.arrays import Float32Array
 from recast.cameras import CameraMount
-from recast.cameras.mounts import View, choose_views, directions
+from recast.cameras.mounts import choose_views, directions
 from recast.core.errors import InputError
 from recast.dynamics.comfort import comfortable_plans
 from recast.planning.cameras import require_cameras
@@ -27,7 +27,14 @@ from recast.planning.gtrs.scores import (
     check_vocabulary,
     final_score,
 )
-from recast.planning.types import Candidates, Plan, PlannerInput, PlanningContext, ego_status
+from recast.planning.types import (
+    BasePlanner,
+    Candidates,
+    Plan,
+    PlannerInput,
+    PlanningContext,
+    ego_status,
+)
 
 _DT = 0.1
 
@@ -68,7 +75,7 @@ class GtrsDecision:
         )
 
 
-class GtrsPlanner:
+class GtrsPlanner(BasePlanner):
     """Scores a vocabulary of trajectories against three camera images and drives the best.
 
     The chosen entry is returned as it is: not smoothed, not blended. Nothing is remembered from one
@@ -106,21 +113,10 @@ class GtrsPlanner:
         self._fitted = views
         self.weights = weights
         self.top_k = top_k
-
-    @property
-    def camera_names(self) -> tuple[str, ...] | None:
-        """nuPlan's left, front and right camera, if it wants these; None if any rig's will do."""
-        return None if self.wanted_views else self.views.cameras
-
-    @property
-    def wanted_views(self) -> tuple[View, ...]:
-        """The left, front and right picture it wants of any rig; () with nuPlan's."""
-        return self.views.views
-
-    @property
-    def device(self) -> str:
-        """Where it computes."""
-        return str(self.model.device)
+        self.device = str(model.device)
+        # Left, front and right picture of any rig; of nuPlan's, its cameras of these names.
+        self.wanted_views = views.views
+        self.camera_names = None if views.views else views.cameras
 
     @property
     def _who(self) -> str:

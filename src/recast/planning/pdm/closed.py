@@ -29,7 +29,13 @@ from recast.planning.pdm.centreline import (
 from recast.planning.pdm.forecast import Forecast, Obstacle, box_centres, forecast, outline
 from recast.planning.pdm.proposals import DT, PdmConfig, Unroll, brake_plan, brakes
 from recast.planning.pdm.scorer import Scores, score_proposals
-from recast.planning.types import WAYPOINTS, Plan, PlannerInput, PlanningContext
+from recast.planning.types import (
+    WAYPOINTS,
+    BasePlanner,
+    Plan,
+    PlannerInput,
+    PlanningContext,
+)
 
 _LOOK_AHEAD = 10
 """Steps that the time to collision looks beyond a proposal."""
@@ -208,7 +214,7 @@ class PdmClosed:
         return int(min(equal, key=lambda i: (round(distance[i // per_path], 9), i)))
 
 
-class PdmClosedPlanner:
+class PdmClosedPlanner(BasePlanner):
     """State-conditioned: reads boxes, velocities and the map; nothing of the log but its route.
 
     The route goes straight on where the log ends, as far as the map does; at its end the ego stops.
