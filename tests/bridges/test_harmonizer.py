@@ -88,10 +88,10 @@ LARGE = output("front", np.zeros((64, 48, 3), np.uint8))
         (None, "answered no list of outputs for 2 images"),
         ([], "answered 0 outputs for 2 images"),
         ([FIRST], "answered 1 outputs for 2 images"),
-        ([SECOND, FIRST], "in the place of front"),
-        ([FIRST, {"id": "rück"}], "its output of rück has no image with base64 data"),
-        ([FIRST, None], "its output of rück has no image"),
-        ([FIRST, {"image": {"data": "***"}}], "its output of rück has no image"),
+        ([SECOND, FIRST], "in place of front"),
+        ([FIRST, {"id": "rück"}], "its output for rück has no image with base64 data"),
+        ([FIRST, None], "its output for rück has no image"),
+        ([FIRST, {"image": {"data": "***"}}], "its output for rück has no image"),
         ([LARGE, SECOND], "image size: is 48x64, but the image that was sent says 48x32"),
         ([{"image": {"data": "AAAA"}}, SECOND], "image: cannot be decoded"),
     ],
@@ -125,5 +125,7 @@ def test_errors_and_limits(
 def test_nobody_there() -> None:
     with WebServer(Fake().app, "127.0.0.1", 0) as server:
         port = server.port
-    with pytest.raises(UnreachableError, match="/v1/infer: nobody listens there; start that prog"):
+    with pytest.raises(
+        UnreachableError, match="/v1/infer: no program listens there; start that prog"
+    ):
         harmonizer_restorer(f"127.0.0.1:{port}").restore(IMAGES)

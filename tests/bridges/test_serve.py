@@ -88,7 +88,7 @@ def test_what_cannot_be_served_is_one_line(
 ) -> None:
     log = ["--log", str(tiny_log_folder)]
     for words, problem in (
-        ([str(folder)], "which is not named; give the log's folder with --log"),
+        ([str(folder)], "which is not given; give the log's folder with --log"),
         ([str(tiny_log_folder)], "is not a folder of a scene or of a run"),
         ([str(folder), str(folder), *log], "is the id of two scenes"),
         ([str(folder), *log, "--port", "99999"], "--port: value: is 99999; give 0 to 65535"),

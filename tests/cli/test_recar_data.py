@@ -19,7 +19,7 @@ def test_from_photographs_to_shards(tmp_path: Path, capsys: pytest.CaptureFixtur
     photos = write_photos(tmp_path / "photos")
     (photos / "car-1" / "7.png").write_bytes(b"")
     options = {"licence": "CC0-1.0", "views": 4, "width": 60, "height": 40, "remover": "none"}
-    with pytest.raises(InputError, match="1 of 3 cannot be taken"):
+    with pytest.raises(InputError, match="1 of 3 cannot be used"):
         Ingest(photos, tmp_path / "set", **options)()  # type: ignore[arg-type]
     assert "car-1: " in capsys.readouterr().out
     Ingest(photos, tmp_path / "set", skip_bad=True, **options)()  # type: ignore[arg-type]
@@ -36,7 +36,7 @@ def test_the_lines_of_skipped_vehicles_name_options(
 ) -> None:
     photos = write_photos(tmp_path / "photos")
     options = {"licence": "CC0-1.0", "views": 8, "remover": "none", "layout": "mad-cars"}
-    with pytest.raises(InputError, match="3 of 3 cannot be taken"):
+    with pytest.raises(InputError, match="3 of 3 cannot be used"):
         Ingest(photos, tmp_path / "set", **options)()  # type: ignore[arg-type]
     said = capsys.readouterr().out
     assert "give fewer --views" in said and "`" not in said

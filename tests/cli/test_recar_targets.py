@@ -52,7 +52,7 @@ def test_targets_of_a_set_and_the_same_command_again(
     [
         (("--limit", "0"), "`limit`: value: is 0"),
         (("--retries", "-1"), "`retries`: value: is -1"),
-        (("--filter", "aesthetic"), "`predictor`: weights: are not named"),
+        (("--filter", "aesthetic"), "`predictor`: weights: are not given"),
         (("--model", "nowhere"), "nowhere: does not exist"),
         (("--workers", "0"), "`workers`: value: is 0"),
     ],

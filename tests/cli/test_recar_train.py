@@ -64,7 +64,7 @@ def test_a_flow_that_the_stage_leaves_alone(stage: TinyStage, tmp_path: Path) ->
 
 
 def test_neither_stage_nor_config(stage: TinyStage, tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="neither it nor `config` is given"):
+    with pytest.raises(InputError, match="is missing, and so is `config`"):
         run(arguments(stage, tmp_path / "model"))
 
 

@@ -61,7 +61,7 @@ def test_folders_that_cannot_be_shown_are_refused(
 ) -> None:
     log, nothing = str(tiny_log_folder), str(tmp_path)
     assert "is not a folder" in refused(capsys, str(tmp_path / "missing"))
-    assert "nothing that can be shown" in refused(capsys, nothing)
+    assert "is not a folder that can be shown" in refused(capsys, nothing)
     assert "second log" in refused(capsys, log, log)
     assert "outside of a run folder" in refused(capsys, str(rollout_folder))
 

@@ -96,7 +96,7 @@ def test_what_is_no_answer_is_one_line(service: JsonService, path: str, problem:
 def test_nobody_there() -> None:
     with socket.create_server(("127.0.0.1", 0)) as taken:
         port = taken.getsockname()[1]
-    with pytest.raises(InputError, match="planner x: /here: nobody listens there"):
+    with pytest.raises(InputError, match="planner x: /here: no program listens there"):
         get(JsonService.at(f"127.0.0.1:{port}", "planner x"))
 
 
@@ -181,5 +181,7 @@ def test_a_body_that_does_not_come_is_not_waited_for(
 
 def test_a_port_that_is_taken_or_elsewhere_is_one_line(service: JsonService) -> None:
     for host, port in (("127.0.0.1", service.port), ("127.0.0.1", 70000), ("no.such.invalid", 0)):
-        with pytest.raises(InputError, match=r"`port`: .*; name another, or 0 for any"):
+        with pytest.raises(
+            InputError, match=r"`port`: .*; choose another port, or 0 for a free one"
+        ):
             WebServer(APP, host, port)

@@ -97,7 +97,7 @@ FLOATS = b"cnumpy\ndtype\n(X\x02\x00\x00\x00f8tR"
         (b"cnumpy\nndarray\n}X\x05\x00\x00\x00valueX\x01\x00\x00\x00asb.", "a state of something"),
         (b"ccollections\nOrderedDict\n(](I1\nI2\ntatR.", "is damaged"),
         (b"}((((tttI1\ns.", "keys that are neither texts nor numbers"),
-        (b"](I1\nI2\nu.", "members of what is not a table"),
+        (b"](I1\nI2\nu.", "members of an object that is not a table"),
         (b"(I1\nios\nsystem\n.", "is damaged"),  # the instruction INST
         (b"\x80\x04\x95\xff\xff\xff\xff\xff\xff\xff\x7f.", "is damaged|holds pickle"),
         (b"c_codecs\nencode\n(Vabc\nVzlib\ntR.", "bytes in an unknown encoding"),

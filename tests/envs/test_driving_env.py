@@ -202,7 +202,7 @@ def test_options_change_an_episode() -> None:
     assert list(env.simulator.state.actors) == ["9", "7"]
     env.reset()
     assert env.simulator.setup.motion == MOTIONS["cut-in-a"]
-    with pytest.raises(InputError, match="option scene: is not known; the options are scenario"):
+    with pytest.raises(InputError, match="option scene: is not known; choose one of scenario"):
         env.reset(options={"scene": 1})
 
 
@@ -264,7 +264,10 @@ def test_a_bad_action_is_one_line_and_moves_nothing(
     ("arguments", "message"),
     [
         ({"action": "steer"}, "action: is 'steer'; choose one of waypoints, controls"),
-        ({"terminate": "collision"}, "terminate: is 'collision'; choose of collision, off_road"),
+        (
+            {"terminate": "collision"},
+            "terminate: is 'collision'; give a list of names from collision, off_road",
+        ),
         ({"terminate": ("crash",)}, r"terminate: is \('crash',\)"),
         ({"most_actors": 0}, "most_actors: is 0; give 1 to 1000"),
         ({"render_mode": "human"}, "render_mode: is 'human'"),

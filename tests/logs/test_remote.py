@@ -106,7 +106,7 @@ def test_a_log_in_s3(
 def test_a_server_that_does_not_answer_is_one_line() -> None:
     with socket.socket() as closed:
         closed.bind(("127.0.0.1", 0))
-        port = closed.getsockname()[1]  # nobody listens there
+        port = closed.getsockname()[1]  # no program listens there
         endpoint, once = f"http://127.0.0.1:{port}", {"retries": {"max_attempts": 0}}
         remote = UPath(
             "s3://drives/first", key="a", secret="b", endpoint_url=endpoint, config_kwargs=once

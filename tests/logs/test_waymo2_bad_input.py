@@ -223,7 +223,7 @@ SHEARED = np.arange(16.0)
         (
             "lidar_pose",
             _without(**TOP),
-            "of the LiDAR TOP has no row in lidar_pose at the frame's time",
+            "the LiDAR TOP has no row in lidar_pose at the frame's time",
         ),
         (
             "lidar_pose",

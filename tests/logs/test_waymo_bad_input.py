@@ -273,7 +273,7 @@ def _scenario(name: str, *more: bytes) -> bytes:
 def test_a_scenario_is_named_where_a_file_holds_several(tmp_path: Path) -> None:
     path = tmp_path / "root" / "shard.tfrecord"
     write_records(path, [_scenario("aa"), _scenario("bb")])
-    _refused(tmp_path, "shard", f"{path}: scenario_id: the file has 2 scenarios; name one")
+    _refused(tmp_path, "shard", f"{path}: scenario_id: the file has 2 scenarios; name a scen")
     _refused(tmp_path, "shard:cc", f"{path}: scenario_id: cc is not in the file")
     import_drive("waymo", tmp_path / "root", "shard.tfrecord:bb", tmp_path / "log")
     write_records(path, [_scenario("aa", integer(6, 2))])

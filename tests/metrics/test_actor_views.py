@@ -92,8 +92,8 @@ def test_a_set_of_the_four_targets_gives_up_one_of_them(tmp_path: Path) -> None:
     ("changes", "message"),
     [
         ({"fov_deg": None}, "camera: car-1: no camera without"),
-        ({"views": 1}, "views: is one"),
-        ({"identities": 1}, "held-out: has no identity"),
+        ({"views": 1}, "views: is 1"),
+        ({"identities": 1}, "held-out: contains no vehicle"),
     ],
 )
 def test_sets_that_cannot_judge(tmp_path: Path, changes: dict[str, object], message: str) -> None:

@@ -100,7 +100,7 @@ def test_statistics_merge_as_their_pictures_do(seed: int, times: list[int]) -> N
     groups = [1e3 + rng.normal(rng.normal(), size=(n, 4)) for n in (1, 7, 12)] + [np.empty((0, 4))]
     stats = [FeatureStats.of(one) for one in groups]
     if not any(times):
-        with pytest.raises(ValueError, match="no picture"):
+        with pytest.raises(ValueError, match="there are no images"):
             FeatureStats.merged(stats, [*times, 1])
         return
     rows = np.concatenate(
@@ -115,7 +115,7 @@ def test_statistics_merge_as_their_pictures_do(seed: int, times: list[int]) -> N
 def test_constant_features_of_low_rank() -> None:
     constant = FeatureStats.of(np.ones((6, 30)))
     assert frechet_between(constant, FeatureStats.of(np.full((4, 30), 1.5))) == pytest.approx(7.5)
-    with pytest.raises(ValueError, match="1 and 6 pictures, needs 2"):
+    with pytest.raises(ValueError, match="1 and 6 images, expected at least 2"):
         frechet_between(FeatureStats.of(np.ones((1, 30))), constant)
 
 

@@ -147,7 +147,7 @@ def test_inception_of_many_against_one_by_one(
 def test_inception_weights_that_are_refused(tmp_path: Path) -> None:
     path = tmp_path / "weights.pth"
     for state, message in (
-        ({"fc.weight": torch.zeros(10, 2048)}, "of no known network"),
+        ({"fc.weight": torch.zeros(10, 2048)}, "not from a known network"),
         ({"fc.weight": torch.zeros(1000, 2048)}, "Conv2d_1a_3x3.conv.weight: is missing"),
         (
             {"fc.weight": torch.zeros(1000, 1), "Conv2d_1a_3x3.conv.weight": torch.zeros(1)},

@@ -171,7 +171,7 @@ def test_lpips_weights_that_are_refused(tmp_path: Path, capsys: pytest.CaptureFi
     refused(missing, "features.8.bias: is missing")
     refused(good | {"features.3.weight": torch.zeros(192, 64, 3, 3)}, r"shape \(192, 64, 3, 3\)")
     refused(good | {"features.6.bias": torch.full((384,), torch.nan)}, "not finite")
-    refused({"a": torch.zeros(2)}, "of no known network")
+    refused({"a": torch.zeros(2)}, "not from a known network")
     refused(good | {"epoch": 3}, "not a table of tensors")
     refused(
         {"features.0.weight": Malicious()}, "print, which is not a tensor and is never unpickled"
@@ -302,7 +302,7 @@ def test_folders_that_are_refused(tmp_path: Path) -> None:
     weights = clip / "model.safetensors"
     whole = load(weights.read_bytes())
     weights.write_bytes(weights.read_bytes()[:1000])
-    with pytest.raises(InputError, match="truncated, or no safetensors file"):
+    with pytest.raises(InputError, match="it is truncated or is not a safetensors file"):
         load_distances(clip=clip)
     vision = {name: tensor for name, tensor in whole.items() if not name.startswith("text_")}
     save_file(vision, weights, metadata={"format": "pt"})

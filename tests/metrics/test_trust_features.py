@@ -131,7 +131,7 @@ def test_a_vehicle_without_shares_and_a_street_without_scores_are_named() -> Non
     for name in (*SHARES, "held_out_psnr_db", "held_out_ssim"):
         assert name not in found.values
     assert found.missing["invented"] == "the vehicle's shares were not measured"
-    assert found.missing["held_out_ssim"] == "no held-out scores of the street"
+    assert found.missing["held_out_ssim"] == "the street has no held-out scores"
     assert set(found.values) | set(found.missing) == set(FEATURES)
     hidden = features(rollout(), RolloutCoverage((shown(0, 0.0, 0.0, 0.0),)))
     assert hidden.missing["seen"] == "no image shows the vehicle"
@@ -186,7 +186,7 @@ def test_verdicts_that_noise_flips() -> None:
     found = trust_features(missed, RECORDED, CAMERAS, None, (), (hit, longer, hit))
     assert found.values["noise_flips"] == pytest.approx(2 / 3)
     assert trust_features(missed, RECORDED, CAMERAS, None, (), (longer,)).values["noise_flips"] == 0
-    assert features(rollout()).missing["noise_flips"] == "the arm was driven under one noise"
+    assert features(rollout()).missing["noise_flips"] == "the arm was not driven with other noise"
     # Over the steps that both have there is no contact yet.
     before = missed.over(hit.collision.first_step - 1)
     assert trust_features(before, RECORDED, CAMERAS, None, (), (hit,)).values["noise_flips"] == 0

@@ -197,8 +197,8 @@ def test_a_damaged_calibration_is_one_line(
 
 def test_too_little_to_calibrate_is_one_line() -> None:
     for some, words in (
-        ([one for one in rollouts() if one.scene == "street-1"], "none can be left out"),
-        ([one for one in rollouts() if one.agrees], "agree with the truth"),
+        ([one for one in rollouts() if one.scene == "street-1"], "at least 2 are needed"),
+        ([one for one in rollouts() if one.agrees], "both true and false are needed"),
     ):
         with pytest.raises(InputError, match=words):
             calibrate(some, ["g"])

@@ -183,9 +183,9 @@ def test_what_one_wide_camera_sees_of_the_sides(looker: Looker) -> None:
     assert [view.source for view in shown] == ["wide"] * 3
     said, warning = seen_lines(looker, rig | made)
     assert said == (
-        "planner looker sees front_left by a virtual camera at wide (50% seen by the log's); front "
-        "by a virtual camera at wide (100% seen by the log's); front_right by a virtual camera at "
-        "wide (50% seen by the log's)"
+        "planner looker sees front_left by a virtual camera at wide (50% seen by the log's "
+        "cameras); front by a virtual camera at wide (100% seen by the log's cameras); "
+        "front_right by a virtual camera at wide (50% seen by the log's cameras)"
     )
     assert warning == (
         "planner looker sees black where no camera of the log looks: 50% of front_left, 50% of "
@@ -234,7 +234,7 @@ def test_pixels_that_no_camera_sees_are_black_and_the_others_right(looker: Looke
 def test_a_rig_that_does_not_look_ahead_is_refused(looker: Looker) -> None:
     rig = {name: NUSCENES[name] for name in ("CAM_BACK", "CAM_FRONT_LEFT")}
     message = (
-        r"^planner looker: view front: looks ahead, and the log's cameras see \d+% of it \(50% is "
+        r"^planner looker: view front: looks ahead, but the log's cameras see \d+% of it \(50% is "
         r"needed\); use a log with .*there are CAM_BACK \(180 degrees left, 89 wide\), CAM_FRONT_L"
     )
     with pytest.raises(InputError, match=message):
@@ -258,7 +258,7 @@ def test_the_rig_that_a_planner_names_is_marked_too() -> None:
     assert ahead.virtual and 0.75 < ahead.seen < 0.9
     assert (own.camera, own.virtual, own.seen) == ("FRONT", False, 1.0)
     behind = {"CAM_BACK": NUSCENES["CAM_BACK"], "FRONT": WAYMO["SIDE_LEFT"]}
-    with pytest.raises(InputError, match="view nuplan_f0: looks ahead, and the log's cameras see"):
+    with pytest.raises(InputError, match="view nuplan_f0: looks ahead, but the log's cameras see"):
         shown_views(planner, behind | virtual_mounts(planner, behind, 0.1))
 
 

@@ -61,7 +61,7 @@ def test_the_shipped_planner_is_a_folder(tmp_path: Path, monkeypatch: pytest.Mon
     assert planner_folder("./somewhere") == Path("somewhere")
     assert planner_folder("pdm-closed") is planner_folder("some.module:Planner") is None
     monkeypatch.setattr("recast.planning.registry.shipped_folder", lambda name: tmp_path / name)
-    with pytest.raises(InputError, match="planner: gtrs-mini: its weights are not in this inst"):
+    with pytest.raises(InputError, match="planner: gtrs-mini: its weights are missing from this"):
         make_planner("gtrs-mini")
 
 
@@ -174,7 +174,7 @@ def test_the_device_that_is_there(
             assert planner_device(name) == name
         else:
             with pytest.raises(
-                InputError, match=f"device: {name}: is not there: torch sees {gpus}"
+                InputError, match=f"device: {name}: does not exist: torch finds {gpus}"
             ):
                 planner_device(name)
     for name in ("gpu", "", "cuda:", "cuda:-1", "meta", "cuda:0001", "CPU\n"):
@@ -206,5 +206,7 @@ def test_planners_compute_where_they_are_told(
 def test_without_a_gpu_planners_compute_on_the_cpu(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("torch.cuda.is_available", lambda: False)
     assert make_planner("gtrs-mini").device == make_planner(str(shipped_folder())).device == "cpu"
-    with pytest.raises(InputError, match="planner device: cuda: is not there: torch sees 0 GPUs"):
+    with pytest.raises(
+        InputError, match="planner device: cuda: does not exist: torch finds 0 GPUs"
+    ):
         make_planner("gtrs-mini", "cuda")

@@ -155,13 +155,13 @@ def changed_rows(**columns: object) -> Callable[[Path], None]:
 
 
 EARLY = [
-    (one_missing, r"car-1: photographs: are 3 where the set has 4 views"),
-    (other_size, r"car-1/9\.png: size: is 72x48 where 7\.png has 60x40"),
+    (one_missing, r"car-1: photographs: are 3, but the set has 4 views"),
+    (other_size, r"car-1/9\.png: size: is 72x48, but 7\.png has 60x40"),
     (floats, r"car-1/9\.tif: photograph: cannot be decoded \(its pixels are floats"),
     (cut_short, r"car-1/9\.png: photograph: cannot be decoded"),
     (no_row, r"vehicles\.csv: id: has no row for car-1"),
     (no_folder, r"car-1: folder: is missing"),
-    (changed_rows(front=9), "car-1: front: is 9 of 4"),
+    (changed_rows(front=9), "car-1: front: is 9, but there are 4 photographs"),
     (changed_rows(front=0), "front: Input should be greater than or equal to 1"),
     (changed_rows(kind=""), "kind: Field required"),
     (changed_rows(length_m=4), "give all of length_m, width_m, height_m or none"),
@@ -172,8 +172,8 @@ EARLY = [
 LATE = [
     (transparent, r"car-1/9\.png: alpha: is zero everywhere"),
     (opaque, r"car-1/9\.png: alpha: is absent"),
-    (same_twice, r"car-1/9\.png: duplicate: is the same picture as 8\.png"),
-    (under_two_names, "car-1: duplicate: 4 of 4 photographs are those of car-0"),
+    (same_twice, r"car-1/9\.png: duplicate: is the same image as 8\.png"),
+    (under_two_names, "car-1: duplicate: 4 of 4 photographs are the same as those of car-0"),
 ]
 
 
@@ -186,7 +186,7 @@ def test_a_bad_vehicle_is_listed_and_skipped_only_where_allowed(
     before = tree(photos)
     bad: list[str] = []
     out = tmp_path / "set"
-    with pytest.raises(InputError, match="1 of 3 cannot be taken, such as car-1") as error:
+    with pytest.raises(InputError, match="1 of 3 cannot be used, such as car-1") as error:
         ingest(photos, out, on_bad=lambda name, fault: bad.append(f"{name}: {fault}"))
     assert "\n" not in str(error.value)
     assert len(bad) == 1 and bad[0].startswith("car-1: ")
@@ -268,7 +268,7 @@ def test_one_photograph_in_two_vehicles_is_a_doubt(tmp_path: Path) -> None:
     photos = write_photos(tmp_path / "photos", 2)
     shutil.copy(photos / "car-0" / "8.png", photos / "car-1" / "10.png")
     report = ingest(photos, tmp_path / "set")
-    assert report.doubts["car-1"] == ("1 of 4 photographs are like those of car-0",)
+    assert report.doubts["car-1"] == ("1 of 4 photographs look like those of car-0",)
     again = ingest(photos, tmp_path / "set")
     assert again.doubts == report.doubts
 
@@ -284,7 +284,7 @@ def test_a_changed_row_of_a_finished_vehicle_is_refused(tmp_path: Path) -> None:
 def test_none_is_good(tmp_path: Path) -> None:
     photos = write_photos(tmp_path / "photos", 1)
     (photos / "car-0" / "7.png").write_bytes(b"")
-    with pytest.raises(InputError, match="1 of 1 cannot be taken"):
+    with pytest.raises(InputError, match="1 of 1 cannot be used"):
         ingest(photos, tmp_path / "set", skip_bad=True)
 
 
@@ -292,7 +292,7 @@ def test_none_is_good(tmp_path: Path) -> None:
     ("text", "message"),
     [
         (None, r"vehicles\.csv or vehicles\.json: is missing"),
-        ("id,kind\n", "vehicles: are none"),
+        ("id,kind\n", "vehicles: are missing"),
         ("id,kind,paint\ncar-0,van,red\n", "heading: 'paint' is not a column"),
         ("id\ncar-0\n", "heading: id and kind are needed"),
         ("id,kind\ncar-0,van\ncar-0,van\n", "car-0 .*has 2 rows"),
@@ -352,5 +352,5 @@ def test_a_fov_needs_the_shape_of_the_set(tmp_path: Path) -> None:
     photos = write_photos(tmp_path / "photos", 1)
     settings = replace(SETTINGS, fov_deg=40.0, width=40)
     ingest(photos, tmp_path / "wide", settings=settings)  # as wide as before, with free rows
-    with pytest.raises(InputError, match="of another shape than 90x40"):
+    with pytest.raises(InputError, match="not of the aspect ratio of 90x40"):
         ingest(photos, tmp_path / "set", settings=replace(settings, width=90))

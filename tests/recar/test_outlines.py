@@ -76,4 +76,4 @@ def test_the_report_names_the_photograph(tmp_path: Path, alphas: list[np.ndarray
     settings = IngestSettings("CC0-1.0", "test", VIEWS, width, height, duplicate_bits=0)
     ingest_photographs(tmp_path / "photos", tmp_path / "set", settings, None)
     (doubt,) = json.loads((tmp_path / "set" / "ingest.json").read_text())["doubts"]["car"]
-    assert doubt.startswith("6.png: the mask is unlike the mirrored one of 18.png")
+    assert doubt.startswith("6.png: the mask differs from the mirrored mask of 18.png")

@@ -346,7 +346,7 @@ def test_the_server_listens_to_this_machine_only(cache: TargetCache) -> None:
 def test_nothing_to_screen_and_a_strange_set_are_refused(
     cache: TargetCache, tmp_path: Path
 ) -> None:
-    with pytest.raises(InputError, match="there are none to screen"):
+    with pytest.raises(InputError, match="none can be screened"):
         ScreeningService(write_cache(tmp_path / "empty", {}))
     made = write_set(tmp_path / "set")
     cache.record = cache.record.model_copy(update={"vehicle_set": "others"})

@@ -100,7 +100,7 @@ def test_statistics_are_those_of_all_values_together(cache: TargetCache) -> None
 
 
 def test_nothing_accepted_has_no_statistics(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="none of them is accepted"):
+    with pytest.raises(InputError, match="none is accepted"):
         write_cache(tmp_path / "cache", (0.1, None)).statistics()
 
 

@@ -48,7 +48,7 @@ def test_views_nearest_to_the_four_sides_in_the_pipelines_order() -> None:
     shifted = set_record(azimuths_deg=tuple(a + 5 for a in regular_azimuths(8)))
     assert nearest_views(shifted) == (0, 4, 2, 6)
     for views in (1, 2, 3):
-        with pytest.raises(InputError, match="no view within"):
+        with pytest.raises(InputError, match="no view is within"):
             nearest_views(set_record(azimuths_deg=regular_azimuths(views)))
 
 
@@ -259,7 +259,7 @@ def test_a_wrong_predictor_is_a_clear_line(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="aesthetic predictor: is not a file"):
         load_predictor(path)
     path.write_bytes(b"no weights")
-    with pytest.raises(InputError, match="is damaged, or no PyTorch checkpoint; name sac"):
+    with pytest.raises(InputError, match="is damaged or is not a PyTorch checkpoint; name sac"):
         load_predictor(path)
     write_predictor(path, {"layers.7.bias": torch.zeros(2)})
     with pytest.raises(InputError, match=r"layers\.7\.bias: is not of shape"):
@@ -325,7 +325,7 @@ def test_the_aesthetic_filter_of_a_target(tmp_path: Path, clip: Path) -> None:
 
 def test_unnamed_or_wrong_clip_weights(tmp_path: Path, clip: Path) -> None:
     predictor = write_predictor(tmp_path / "p.pth")
-    with pytest.raises(InputError, match="`clip`: weights: are not named"):
+    with pytest.raises(InputError, match="`clip`: weights: are not given"):
         filter_record(FilterSettings(kind="aesthetic", predictor=predictor))
     with pytest.raises(InputError, match=r"config\.json: is missing"):
         filter_record(FilterSettings(kind="aesthetic", predictor=predictor, clip=tmp_path))

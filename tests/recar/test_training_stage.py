@@ -205,7 +205,7 @@ def test_inputs_that_do_not_belong_together_are_refused(stage: TinyStage, tmp_pa
     refused("resolution: of the targets is", changed.request(out))
 
     changed = TinyStage(stage.model, stage.targets, tmp_path)
-    refused("pictures: the folder holds no set.json", changed.request(out))
+    refused("pictures: the folder contains no set.json", changed.request(out))
     with pytest.raises(ValueError, match="a batch of 2 does not split into 3 parts"):
         stage.request(out, structure={"accumulate": 3})
 
@@ -218,7 +218,7 @@ def test_another_training_or_a_foreign_folder_is_refused(
     with pytest.raises(InputError, match="settings: differ from the requested ones \\(lr\\)"):
         train_stage(stage.request(whole, structure={"lr": 2e-3}), console=QUIET)
     (tmp_path / "thesis.tex").write_text("years of work")
-    with pytest.raises(InputError, match="holds other files"):
+    with pytest.raises(InputError, match="contains other files"):
         train_stage(stage.request(tmp_path), console=QUIET)
 
 

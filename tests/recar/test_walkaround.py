@@ -194,13 +194,13 @@ def a_folder_outside(folder: Path) -> None:
     [
         (no_poses, "poses: are missing"),
         (two_files_of_poses, "are in transforms.json and in images.txt"),
-        (a_sheared_pose, "004.png: has a pose that is no rotation"),
+        (a_sheared_pose, "004.png: has a pose that is not a rotation"),
         (a_pose_twice, "001.png: has two poses"),
-        (words_for_poses, "photograph 1: has no finite pose"),
+        (words_for_poses, "photograph 1: has a pose that is not finite"),
         (a_few_words, "photograph 1: has 5 words"),
-        (half_a_ring, "no photograph within"),
+        (half_a_ring, "no photograph is within"),
         (all_in_one_place, "are not in a ring"),
-        (no_front, "front: is not given"),
+        (no_front, "front: is missing: poses do not say"),
         (front_too_high, "front: is 24"),
         (small_mask, "size: is 4x4, the photograph 60x40"),
         (a_folder_outside, "not a file inside of photos"),
@@ -208,7 +208,7 @@ def a_folder_outside(folder: Path) -> None:
 )
 def test_what_is_refused(tmp_path: Path, change: Callable[[Path], None], problem: str) -> None:
     change(write_walk(tmp_path / "photos"))
-    with pytest.raises(InputError, match="cannot be taken") as caught:
+    with pytest.raises(InputError, match="cannot be used") as caught:
         ingest(tmp_path / "photos", tmp_path / "set")
     report = tmp_path / "set" / "ingest.json"
     told = f"{caught.value} {report.read_text() if report.is_file() else ''}"
@@ -234,6 +234,8 @@ def test_the_command_says_that_the_layout_is_experimental(
     assert "1 identities, 0 left out, 1 to look at" in told
     args[4] = str(tmp_path / "other")
     assert main([*args, "--azimuth-within", "0.001"]) == 2
-    assert "no photograph within 0.001 degrees of 90" in " ".join(capsys.readouterr().err.split())
+    assert "no photograph is within 0.001 degrees of 90" in " ".join(
+        capsys.readouterr().err.split()
+    )
     with pytest.raises(InputError, match="`layout`: diorama: is unknown"):
         replace(WALK, layout="diorama").validate()

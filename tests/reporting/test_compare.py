@@ -89,14 +89,14 @@ def test_endings_tell_where_a_path_leaves_that_of_the_first_run(runs: list[Compa
     native, replaced = outcome_rows(runs)
     assert [cell.path for cell in native.cells] == [
         None,
-        "path within 0.5 m of A's",
-        "another scenario than A's: not compared",
+        "path within 0.5 m of A's path",
+        "not compared: the scenario differs from A's",
     ]
     # 0.01 k (k - 1) > 0.5 at k = 8
-    assert [cell.path for cell in replaced.cells] == [None, "path leaves A's at 0.8 s", None]
+    assert [cell.path for cell in replaced.cells] == [None, "path leaves A's path at 0.8 s", None]
     assert replaced.cells[0].outcome.text.startswith("contact at 2.3 s")
     assert replaced.cells[1].outcome.text.startswith("no contact")
-    assert replaced.cells[2].outcome.text == "not asked for"
+    assert replaced.cells[2].outcome.text == "not requested"
 
 
 def test_the_page_is_self_contained_and_tells_what_is_not_comparable(
@@ -108,8 +108,8 @@ def test_the_page_is_self_contained_and_tells_what_is_not_comparable(
         "C is a run on another log than A (two, not one)",
         "arms.recast.refine",
         "paired; mean over 1 of 1 pair",
-        "path leaves A's at 0.8 s",
-        "the paths part: Native and Replaced",
+        "path leaves A's path at 0.8 s",
+        "the paths diverge: Native and Replaced",
         "contact: Native",
     ):
         assert words in page.text, words
@@ -128,16 +128,19 @@ def test_failures_and_missing_scenarios_are_rows_too(tmp_path: Path) -> None:
     page = Page(
         write_comparison([run("a", scenario({"native": 0.0})), failed, empty], tmp_path / "o")
     )
-    assert "the rollout failed" in page.text and "C does not have cut-in, setting a" in page.text
-    assert "no rollout came about" in page.text
+    assert (
+        "the rollout failed" in page.text
+        and "C does not have these scenarios: cut-in, setting a" in page.text
+    )
+    assert "no rollout could be run" in page.text
     nothing = Page(write_comparison([empty, empty], tmp_path / "p"))
     assert "All settings are the same." in nothing.text
     assert "no run has a rollout" in nothing.text
 
 
 def test_what_is_no_comparison_is_refused(runs: list[ComparedRun], tmp_path: Path) -> None:
-    with pytest.raises(ValueError, match="at least two"):
+    with pytest.raises(ValueError, match="at least 2"):
         write_comparison(runs[:1], tmp_path / "out")
     (tmp_path / "thesis.txt").write_text("years of work")
-    with pytest.raises(InputError, match="not a report"):
+    with pytest.raises(InputError, match="not part of a report"):
         write_comparison(runs, tmp_path)

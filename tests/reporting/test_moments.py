@@ -39,8 +39,8 @@ def test_moments_are_where_the_formulas_put_them() -> None:
     found = {words: m.step for m in find_moments(parts, ARMS) for words in m.reasons}
     # The braking plan falls back by 0.75 t^2: 12 m at its end. The braking ego is behind by
     # 0.015 k (k - 1) / 2 metres after k steps: 0.42 m after 8, 0.54 m after 9.
-    assert found["the plans part: Native and Replaced"] == 0
-    assert found["the paths part: Native and Replaced"] == 9
+    assert found["the plans diverge: Native and Replaced"] == 0
+    assert found["the paths diverge: Native and Replaced"] == 9
     native = parts[0].metrics
     assert not isinstance(native, NotMade)
     assert found["contact: Native"] == native.collision.first_step == 23
@@ -55,7 +55,7 @@ def test_the_paths_part_between_the_first_pair_to_do_so() -> None:
     # 0.01 n^2 > 0.5 at n = 8 steps of braking
     [moment] = [m for m in find_moments(parts, ARMS) if "paths" in " ".join(m.reasons)]
     assert moment.step == 18 and moment.time == 1.8
-    assert "the paths part: Native and Truth" in moment.reasons
+    assert "the paths diverge: Native and Truth" in moment.reasons
 
 
 def test_what_falls_together_is_one_moment_and_arms_that_agree_have_the_smallest_gap() -> None:

@@ -73,7 +73,7 @@ def test_every_part_is_on_the_page(report: Path) -> None:
         "How each rollout ended",
         "Results over all rollouts",
         "Input crop",
-        "Turntable of the made actor",
+        "Turntable of the actor",
         "Registration to the LiDAR",
         "0.310 m before",
         "0.182 m after",
@@ -84,8 +84,8 @@ def test_every_part_is_on_the_page(report: Path) -> None:
         "93%",
         "Refinement by all images",
         "left out 3",
-        "Invented, of what was shown of the actor 25%",
-        "What the rollouts showed of it",
+        "Invented share of the visible actor 25%",
+        "What the rollouts showed of the actor",
         "From all around",
         "25% was invented, 25% mirrored and 50% seen in the log (visible in 1 of 2 images).",
         "contact at 2.3 s",
@@ -97,7 +97,7 @@ def test_every_part_is_on_the_page(report: Path) -> None:
         "21.93 dB",
         "LiDAR depth",
         "0.061 m",
-        "Film with all arms side by side",
+        "Video with all arms side by side",
         "Resolved configuration",
         '"steps": 3000',
         "torch",
@@ -165,7 +165,7 @@ def test_same_inputs_same_bytes_and_the_old_report_is_replaced(
 
 def test_a_folder_with_something_else_is_left_alone(tmp_path: Path) -> None:
     (tmp_path / "thesis.txt").write_text("years of work")
-    with pytest.raises(InputError, match="not a report"):
+    with pytest.raises(InputError, match="not part of a report"):
         write_report(ReportInputs("t", "log", {"native": "Native"}), tmp_path)
     assert (tmp_path / "thesis.txt").read_text() == "years of work"
 

@@ -79,7 +79,7 @@ def test_failed_and_cut_rollouts_are_told_and_pairs_end_together() -> None:
     assert cell(native, "nc").text == "1 of 2"  # as far as it went
     # a: +1; b: neither has a contact in the first 20 steps
     assert cell(difference, "nc").text == "+50.0\u00a0points"
-    assert difference.sub == "mean over 2 of 3 pairs, 12 plans each, 1 up to where one was cut"
+    assert difference.sub == "mean over 2 of 3 pairs, 12 plans each, 1 compared only up to a cut"
     told = " ".join(headline(ReportInputs("t", "drive 13", ARMS, scenarios=tuple(scenarios))))
     assert "Native: 1 of 2 (2 cut short, 1 failed)" in told
 
@@ -112,7 +112,7 @@ def test_outcomes_headline_and_checks() -> None:
     by_name = {check.name: check for check in checks(run)}
     assert by_name["Map"].tone == "warn"
     assert by_name["Rollouts"].found == "1 of 2 ran their full length"
-    assert by_name["Held-out images"].found == "not made"
+    assert by_name["Held-out images"].found == "not evaluated"
 
 
 def with_truth() -> tuple[ReportInputs, ScenarioPart]:
@@ -151,7 +151,7 @@ def test_the_truth_measures_and_is_not_judged() -> None:
     told = " ".join(headline(run))
     assert "Native and Replaced, and with the truth" in told
     assert (
-        "Ended as with the truth, in contact or without: Native: 0 of 1; Replaced: 1 of 1" in told
+        "ended as with the truth (contact or no contact): Native: 0 of 1; Replaced: 1 of 1" in told
     )
 
 

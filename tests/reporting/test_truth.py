@@ -103,15 +103,15 @@ def test_the_first_screen_comes_before_everything(report: Path) -> None:
     assert pictures[:2] == [p for p in pictures if "showcase" in p]
     for words in (
         "seen three ways",
-        "recast gives it a whole body",
-        "from its front, 10 m before the camera and 170° away from the nearest of the 80",
+        "recast completes the vehicle",
+        "seen from its front, 10 m ahead of the camera and 170° away from the nearest of the 80",
         "PSNR 11.0\u00a0dB, SSIM 0.475, mask IoU 0.38",
         "nearer to the truth",
         "Over all 7 views 60° or more",
         "showcase_truth.png is missing",
     ):
         assert words.replace("\u00a0", " ") in text, words
-    assert text.index("seen three ways") < text.index("Overview") < text.index("On the log log")
+    assert text.index("seen three ways") < text.index("Overview") < text.index("In the log log")
 
 
 def test_the_section_tells_who_wins_at_which_angle(run: ReportInputs, report: Path) -> None:
@@ -134,7 +134,7 @@ def test_the_section_tells_who_wins_at_which_angle(run: ReportInputs, report: Pa
     assert [caption.split("°")[0] for caption, _ in shown.pictures][:2] == ["170", "152"]
     assert len(shown.pictures) == 10
     page = Page(report)
-    assert "Against the truth" in page.text and "in 10 views; 7 of them" in page.text
+    assert "Against the truth" in page.text and "in 10 views; 7 of these views" in page.text
     assert sum(tag == "svg" for tag, _ in page.tags) == 4 + 2
 
 
@@ -148,7 +148,7 @@ def test_three_methods_leave_no_loose_ends(report: Path) -> None:
     raw = report.read_text(encoding="utf-8")
     assert "<script>alert" not in raw and not re.search(r"https?:", raw)
     assert sum("side-by-side" in link for link in linked) == 1
-    assert "Gap to the truth, distance of the ego" in page.text
+    assert "Distance of the ego from its path with the truth" in page.text
 
 
 def test_the_checks_ask_for_the_replaced_actor_to_be_nearer(run: ReportInputs) -> None:

@@ -73,7 +73,7 @@ def test_an_empty_film_is_refused(tmp_path: Path) -> None:
 def test_an_earlier_film_survives_a_failed_one(tmp_path: Path) -> None:
     write_video(tmp_path / "a.mp4", film(2))
     before = (tmp_path / "a.mp4").read_bytes()
-    with pytest.raises(ValueError, match="the first one had"):
+    with pytest.raises(ValueError, match="as in the first frame"):
         write_video(tmp_path / "a.mp4", [*film(1), film(1, 62, 80)[0]])
     assert (tmp_path / "a.mp4").read_bytes() == before
 
@@ -85,7 +85,7 @@ def test_other_arrays_are_refused(tmp_path: Path) -> None:
 
 def test_reading_something_else_names_the_file(tmp_path: Path) -> None:
     (tmp_path / "a.mp4").write_text("no film")
-    with pytest.raises(InputError, match=r"a\.mp4: film"):
+    with pytest.raises(InputError, match=r"a\.mp4: video"):
         read_video(tmp_path / "a.mp4")
     with pytest.raises(InputError, match="is missing"):
         read_video(tmp_path / "b.mp4")

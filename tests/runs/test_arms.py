@@ -134,9 +134,9 @@ def test_words_of_noise_and_of_parts() -> None:
 @pytest.mark.parametrize(
     ("word", "said"),
     [
-        ("oracle:loud", "is disturbed by 'loud'; choose of oracle:seed, oracle:grey"),
-        ("recast+oracle:seed", "by 'seed'; choose of recast.oracle:grey, .*:start, .*:noise"),
-        ("oracle+native", "puts a reconstruction into the truth, which has none; name a"),
+        ("oracle:loud", "cannot be disturbed by 'loud'; choose one of oracle:seed, oracle:grey"),
+        ("recast+oracle:seed", "by 'seed'; choose one of recast.oracle:grey, .*:start, .*:noise"),
+        ("oracle+native", "the true street has no reconstruction of the vehicle; give a"),
     ],
 )
 def test_bad_words_are_one_line(word: str, said: str) -> None:
@@ -187,7 +187,7 @@ def test_assets_by_scene(tmp_path: Path) -> None:
     (tmp_path / "street-3.glb").write_bytes(b"x")
     [arm] = parse_arms([f"assets:{tmp_path}"])
     assert arm.of_scene("street-3").generator == str(tmp_path / "street-3.glb")
-    with pytest.raises(InputError, match=r"scene street-4: has no file; add street-4\.ply"):
+    with pytest.raises(InputError, match=r"scene street-4: has no vehicle file; add street-4\.ply"):
         arm.of_scene("street-4")
     assert Arm.native().of_scene("street-4") == Arm.native()
 
@@ -222,5 +222,5 @@ def test_a_run_s_record_gives_the_same_arms(tmp_path: Path) -> None:
 
 
 def test_a_folder_without_a_scene_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="holds no scene"):
+    with pytest.raises(InputError, match="is not a scene folder"):
         resolve_config("0", ["cut-in-a"], None, None, {"scene_folder": str(tmp_path)}, {})

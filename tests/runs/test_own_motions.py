@@ -68,7 +68,7 @@ def test_two_files_must_not_say_two_things_under_one_name(own: Path, tmp_path: P
     other.write_text(TEXT)
     assert resolve([str(own), str(other)]).motions == ("near-a",)
     other.write_text(TEXT.replace("12", "13"))
-    with pytest.raises(InputError, match="near-a is another scenario already"):
+    with pytest.raises(InputError, match="another scenario is already called near-a"):
         resolve([str(own), str(other)])
 
 
@@ -96,7 +96,7 @@ def test_the_name_of_an_own_scenario_is_the_one_it_describes(
     with pytest.raises(InputError) as caught:
         resolve([], file)
     assert caught.value.field == "own_motions"
-    assert "describes the scenario 'near-a'" in caught.value.problem
+    assert "holds the scenario 'near-a'" in caught.value.problem
 
 
 @pytest.mark.parametrize("motions", [["moonwalk-a"], ["../../victim"]])

@@ -59,7 +59,7 @@ def test_a_camera_that_the_log_lacks_ends_in_one_line_before_anything_is_written
     args = ["run", str(tiny_log_folder), "--track", "0", "--motion", "advancing-a"]
     assert main([*args, "--out", str(out), "--planner", f"{plugin}:Backward"]) == 2
     said = " ".join("".join(capsys.readouterr()).split())
-    assert "planner backward: camera rear: is needed and not there; there are image_02" in said
+    assert "planner backward: camera rear: is needed but missing; render it" in said
     assert not out.exists()
 
 
@@ -72,7 +72,7 @@ def test_the_cameras_of_a_run(tiny_log: DrivingLog) -> None:
     scale = config.scene.scale
     assert (camera.width, camera.height) == (round(1920 * scale), round(1080 * scale))
     assert not camera.is_rectified
-    with pytest.raises(InputError, match="camera front: is needed and not there"):
+    with pytest.raises(InputError, match="camera front: is needed but missing"):
         run_mounts(tiny_log, _looker("front"), config)
 
 

@@ -180,7 +180,7 @@ def test_one_camera_of_a_recorded_drive(tiny_log: DrivingLog) -> None:
 def test_a_log_that_does_not_look_ahead_is_refused_before_anything_is_written(
     log: DrivingLog,
 ) -> None:
-    with pytest.raises(InputError, match="planner gtrs-mini: view front: looks ahead, and the log"):
+    with pytest.raises(InputError, match="planner gtrs-mini: view front: looks ahead, but the log"):
         run_mounts(log, make_planner("gtrs-mini"), _config(log, scene={"cameras": ["front_left"]}))
 
 
@@ -193,7 +193,7 @@ def test_a_device_that_is_not_there_is_one_line(
     monkeypatch.setattr("torch.cuda.is_available", lambda: False)
     args = ["run", str(tiny_log_folder), "--track", "0", "--out", str(tmp_path / "run")]
     assert main([*args, "--planner", "gtrs-mini", "--planner-device", "cuda"]) == 2
-    assert "planner device: cuda: is not there: torch sees 0 GPUs" in capsys.readouterr().err
+    assert "planner device: cuda: does not exist: torch finds 0 GPUs" in capsys.readouterr().err
     assert main([*args, "--planner-device", "gpu"]) == 2
     assert "planner_device" in capsys.readouterr().err
     assert not (tmp_path / "run").exists()
@@ -246,6 +246,8 @@ def test_a_planner_that_is_one_program_has_one_worker(
     )
     console, out = Console(file=StringIO()), tmp_path / "grid"
     for options in ({"workers": 2}, {"workers": 1, "ray": "local"}):
-        with pytest.raises(InputError, match="neuroncap:localhost:9000: is one program") as error:
+        with pytest.raises(
+            InputError, match="neuroncap:localhost:9000: is a single program"
+        ) as error:
             closed_loop.run_closed_loop(settings, out, console, **options)
         assert not out.exists() and "use one worker" in str(error.value)

@@ -75,12 +75,12 @@ def test_runs_of_different_logs_are_compared_and_told(runs: list[Path], tmp_path
 @pytest.mark.parametrize(
     ("words", "field"),
     [
-        (("--compare", "ten", "--out", "OUT"), "runs: 1 given"),
+        (("--compare", "ten", "--out", "OUT"), "runs: only 1 given"),
         (("--compare", "ten", "eight"), "--out: folder: is missing"),
         (("--compare", "ten", "ten", "--out", "OUT"), "named twice"),
         (("--compare", "ten", "gone", "--out", "OUT"), "gone/run.json"),
         (("--compare", "ten", "empty", "--out", "OUT"), "empty/run.json"),
-        (("--compare", "ten", "eight", "--out", "FULL"), "not a report"),
+        (("--compare", "ten", "eight", "--out", "FULL"), "not part of a report"),
         (("ten", "eight"), "add --compare"),
         ((), "run folder: 0 given"),
         (("gone",), "gone/run.json"),

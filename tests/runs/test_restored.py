@@ -58,8 +58,8 @@ class Failing:
 
 
 def test_a_program_that_is_not_there_ends_the_run_and_leaves_no_result(tmp_path: Path) -> None:
-    away = UnreachableError("restorer x", "/v1/infer", "nobody listens there", "start it")
-    with pytest.raises(UnreachableError, match="nobody listens there"):
+    away = UnreachableError("restorer x", "/v1/infer", "no program listens there", "start it")
+    with pytest.raises(UnreachableError, match="no program listens there"):
         drive(Failing(away), tmp_path / "a")
     assert not is_failure(tmp_path / "a")
     drive(Failing(InputError("restorer x", "/v1/infer", "answered 500", "see")), tmp_path / "b")
@@ -148,5 +148,5 @@ def test_a_run_whose_planner_is_not_there_can_be_repeated(
     for _ in range(2):
         assert main([*words, "--out", str(tmp_path / "run")]) == 2
         said = capsys.readouterr().err.splitlines()[-1]
-        assert f"planner neuroncap:{address}: /alive: nobody listens there" in said
+        assert f"planner neuroncap:{address}: /alive: no program listens there" in said
     assert not list((tmp_path / "run").glob("rollouts/**/failure.json"))

@@ -153,7 +153,7 @@ def test_a_copy_without_links_goes_on_and_what_is_the_users_stays(tmp_path: Path
     run.refer(run.store(), {"scene/recast": scene})
     assert (link / "file.txt").read_text() == "whole"
     (link / "notes.txt").write_text("mine")
-    with pytest.raises(InputError, match="is a file or folder of something else"):
+    with pytest.raises(InputError, match="is a file or folder that does not belong to this run"):
         run.refer(run.store(), {"scene/recast": scene})
     assert (link / "notes.txt").read_text() == "mine"
 

@@ -86,7 +86,7 @@ def test_tables() -> None:
     text = shown(evaluation)
     for line in (
         "whole image 1 28.12 0.900 0.111",
-        "what moves: boxes, l and w x1.5 1 24.00 0.800 0.222",
+        "moving objects: boxes, l and w x1.5 1 24.00 0.800 0.222",
         "box of track 7 1 23.50",
         "right-2m 2 22.75 0.700 0.300",
     ):

@@ -127,7 +127,7 @@ def test_parts_are_exported_in_their_own_frames(scene: StreetScene, tmp_path: Pa
 
 def test_times_beyond_the_scene_are_refused(scene: StreetScene, tmp_path: Path) -> None:
     for seconds in (-0.1, 1.1, math.inf, math.nan):
-        with pytest.raises(InputError, match="name one from 0 to 1"):
+        with pytest.raises(InputError, match="give a time from 0 to 1"):
             export_scene_at(scene, tmp_path / "out", seconds)
     with pytest.raises(InputError, match="nothing moves"):
         export_scene_at(replace(scene, actors={}), tmp_path / "out", 0)

@@ -56,7 +56,7 @@ def test_round_trip_is_exact(trained: TrainResult, tmp_path: Path) -> None:
 
 
 def test_a_scene_is_not_written_over(trained: TrainResult) -> None:
-    with pytest.raises(InputError, match="holds a scene already"):
+    with pytest.raises(InputError, match="already holds a scene"):
         save_scene(trained.scene, trained.folder)
 
 

@@ -29,7 +29,7 @@ def test_split_is_by_frame(tiny_log: DrivingLog) -> None:
 def test_unknown_camera(tiny_log: DrivingLog) -> None:
     with pytest.raises(InputError, match="camera front"):
         camera_names(tiny_log, SceneConfig(cameras=("front",)))
-    with pytest.raises(InputError, match="there is none"):
+    with pytest.raises(InputError, match="the log has none"):
         camera_names(replace(tiny_log, cameras={}), SceneConfig())
 
 

@@ -154,7 +154,7 @@ def test_pdm_closed_refuses_steps_beyond_its_8_s() -> None:
     log = curved_world()
     route = ReferenceRoute.from_trajectory(log.world_from_rig)
     context = PlanningContext(route, log.world_from_rig, log.map, dt=0.25)
-    with pytest.raises(InputError, match=r"dt: is 0\.25 s: 40 waypoints reach beyond its 8 s"):
+    with pytest.raises(InputError, match=r"dt: is 0\.25 s: 40 waypoints exceed its plan of 8 s"):
         PdmClosedPlanner().reset(context)
 
 

@@ -120,9 +120,9 @@ def test_the_cut_in_uses_the_neighbour_lane_of_the_map() -> None:
 @pytest.mark.parametrize(
     ("states", "problem"),
     [
-        (np.zeros((160, 4)), r"its script is float64 \(160, 4\), not numbers \(161, 4\)"),
-        (np.zeros((161, 3)), r"its script is float64 \(161, 3\)"),
-        (np.full((161, 4), "a"), "its script is <U1"),
+        (np.zeros((160, 4)), r"its script returned float64 \(160, 4\), not numbers \(161, 4\)"),
+        (np.zeros((161, 3)), r"its script returned float64 \(161, 3\)"),
+        (np.full((161, 4), "a"), "its script returned <U1"),
         (np.full((161, 4), np.nan), r"its state 0 is \[nan"),
         (np.full((161, 4), 1e300), "its state 0 is"),
         (np.full((161, 4), -1.0), "its speed is negative in state 0"),

@@ -302,7 +302,7 @@ def test_a_motion_that_returns_no_state_is_one_line(value: object, message: str,
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        ({"lateral": 1.0}, "lateral: is an offset from the ego's route; give gap, too"),
+        ({"lateral": 1.0}, "lateral: is an offset from the ego's route; give gap as well"),
         ({"speed": 0.0}, "speed: is 0.0; give more than 0"),
         ({"speed": float("nan")}, "speed: is nan; give more than 0"),
         ({"min_gap": -1.0}, "min_gap: is -1.0; give more than 0"),

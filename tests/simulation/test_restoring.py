@@ -89,8 +89,8 @@ class Wrong:
 @pytest.mark.parametrize(
     ("answer", "problem"),
     [
-        (lambda images: {}, "plain: no image came back"),
-        (lambda images: dict.fromkeys(images), "plain: no image came back"),
+        (lambda images: {}, "plain: no image was returned"),
+        (lambda images: dict.fromkeys(images), "plain: no image was returned"),
         (lambda images: {k: v[1:] for k, v in images.items()}, r"uint8 \(31, 48, 3\), not uint8"),
         (lambda images: {k: v / 255 for k, v in images.items()}, r"is float64 \(32, 48, 3\)"),
     ],

@@ -49,7 +49,7 @@ def test_a_file_stands_where_a_name_does(tmp_path: Path) -> None:
 def test_a_file_must_not_take_the_name_of_a_built_in_scenario(tmp_path: Path) -> None:
     path = tmp_path / "own.yaml"
     path.write_text(OWN.replace("near-stop", "stationary").replace("near:", "a:"))
-    with pytest.raises(InputError, match="stationary with setting a is a scenario of recast"):
+    with pytest.raises(InputError, match="stationary with setting a is a built-in scenario"):
         parse_motions(str(path))
 
 

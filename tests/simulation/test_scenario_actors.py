@@ -98,7 +98,7 @@ def test_an_own_motion_has_no_record() -> None:
             return None
 
     scenario = Scenario("x", "a", MOTIONS["cut-in-a"], (ScenarioActor("5", Own()),))  # type: ignore[arg-type]
-    with pytest.raises(InputError, match="motion own: is a Own, which no scenario file"):
+    with pytest.raises(InputError, match="motion own: is a Own, which a scenario file"):
         scenario_record(scenario)
 
 
@@ -156,13 +156,21 @@ def test_the_example_of_the_documentation(tmp_path: Path) -> None:
         ("    motion: idm\n", "", "my.yaml:9: motion: is missing"),
         ("replaced: true", "replaced: yes", "my.yaml:11: replaced: is 'yes'; write true or false"),
         ("replaced: true", "replace: true", "my.yaml:11: replace: is not known; did you mean rep"),
-        ("      b: {}\n", "", "my.yaml:12: b: is missing; give a, b, as for the target"),
+        (
+            "      b: {}\n",
+            "",
+            "my.yaml:12: b: is missing; give the settings a, b, as for the target",
+        ),
         ("      b: {}", "      c: {}", "my.yaml:14: c: is not known"),
         ("b: {}", "b: 3", "my.yaml:14: setting b: is the number 3; give speed, headway"),
         ("speed: 0.6", "speed: 0", "my.yaml:13: speed: is 0; give more than 0, at most 5 of v_r"),
         ("gap: 40.0, ", "", "my.yaml:13: lateral: is an offset from the ego's route; give gap"),
         ("lateral: 0.2", "side: 2", "my.yaml:13: side: is not known"),
-        ("motion: log-replay", "motion: cut-in", "my.yaml:15: settings: is missing; give a, b"),
+        (
+            "motion: log-replay",
+            "motion: cut-in",
+            "my.yaml:15: settings: is missing; give the settings a",
+        ),
         ("    motion: log-replay", "    3", "my.yaml:15: actor un/usual id: is the number 3"),
         ('  "un/usual id"', "  5", "my.yaml:15: 5: is given twice, first in line 9"),
         ('  "un/usual id"', '  ""', "my.yaml:15: actor : track id: a name must have 1 to 1000"),

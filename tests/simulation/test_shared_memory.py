@@ -80,7 +80,7 @@ def test_who_writes_is_told_to_copy(deed: Callable[..., object]) -> None:
     with pytest.raises(InputError) as raised:
         run_rollout(SETUP, Does(deed))
     line = error_fields(raised.value)["reason"]
-    assert line.startswith("planner does: plan at step 5: writes into what is read-only (")
+    assert line.startswith("planner does: plan at step 5: writes into a read-only object (")
     assert "copy what recast hands over before you change it" in line
 
 
@@ -218,7 +218,7 @@ def test_a_motion_and_a_controller_of_one_buffer() -> None:
     assert rollout.actor[:, 0] == pytest.approx(40.0 + 0.5 * np.arange(21))
     wanted = run_rollout(replace(setup, controller=PerfectController()), ConstantVelocity())
     assert_same(rollout, wanted)
-    with pytest.raises(InputError, match="motion buffered: step 0: writes into what is read-only"):
+    with pytest.raises(InputError, match="motion buffered: step 0: writes into a read-only object"):
         run_rollout(replace(SETUP, motion=Buffered(writes=True)), ConstantVelocity())
 
 

@@ -135,7 +135,7 @@ def test_the_state_has_names_and_the_log_beside_it() -> None:
     assert list(state.actors) == ["7"] == [state.track_id]
     assert state.actors["7"].log_world_from_actor[1, 3] == 40.0
     assert sim.state_at(0).ego.x == pytest.approx(0.0, abs=1e-9)
-    with pytest.raises(ValueError, match="state_at: 6, but it is at step 5"):
+    with pytest.raises(ValueError, match="state_at: expected step 0 to 5, got 6"):
         sim.state_at(6)
 
 
@@ -244,17 +244,17 @@ def test_a_plan_that_no_vehicle_can_drive_is_one_line() -> None:
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        ({"actors": {}}, "Simulator: actors: is empty; name the target"),
+        ({"actors": {}}, "Simulator: actors: is empty or not a mapping; name the target"),
         ({"actors": {"7": "cutin"}}, "motion: cutin: is not known; choose one of"),
-        ({"actors": {"7": 3}}, "motion: int: is not a motion: it needs name, setting"),
+        ({"actors": {"7": 3}}, "motion: int: is not a motion: a motion has name, setting"),
         ({"actors": {"77": "cut-in"}}, "track 77: is not in the log; choose one of 7, 9"),
         ({"actors": {"7": "cut-in", "8": "idm"}}, "track 8: is not in the log"),
         ({"scene": 3}, "Simulator: scene: is a int; give a StreetScene"),
         ({"cameras": ["front"]}, "Simulator: cameras: are given without a scene"),
         ({"steps": 0}, "RolloutSetup: steps: is 0; give 1 to"),
         ({"dt": 3.0}, "RolloutSetup: dt: is 3.0 s"),
-        ({"plan_limit_s": 3.0}, "Simulator: plan_limit_s: is not a setting; the settings are"),
-        ({"scene": NullRenderer(MOUNTS), "cameras": ["rear"]}, "camera rear: is needed and not"),
+        ({"plan_limit_s": 3.0}, "Simulator: plan_limit_s: is not a setting; choose one of"),
+        ({"scene": NullRenderer(MOUNTS), "cameras": ["rear"]}, "camera rear: is needed but"),
     ],
 )
 def test_bad_arguments_are_one_line(arguments: dict[str, object], message: str) -> None:

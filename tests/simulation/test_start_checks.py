@@ -42,7 +42,7 @@ def test_a_derived_map_or_none_refuses_nothing() -> None:
 
 
 def test_a_map_of_elsewhere_is_refused() -> None:
-    with pytest.raises(InputError, match=r"only 0% of the ego's route lies on the map; check that"):
+    with pytest.raises(InputError, match=r"only 0% of the ego's route lies on the map; use a map"):
         prepare(setup_on(moved(curved_world(), (0.0, 900.0, 0.0)).map))
 
 
@@ -53,5 +53,5 @@ def test_an_actor_inside_the_ego_is_refused() -> None:
 
 
 def test_a_map_without_lanes_is_refused_by_the_planner_that_needs_them() -> None:
-    with pytest.raises(InputError, match="lanes: there are none"):
+    with pytest.raises(InputError, match="lanes: are missing"):
         run_rollout(setup_on(road(6.0, -6.0)), PdmClosedPlanner())

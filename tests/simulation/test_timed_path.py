@@ -76,8 +76,8 @@ def test_files_and_records(tmp_path: Path) -> None:
     [
         ("start_after: 4.0", "start_after: -1", "my.yaml:7: start_after: is negative; give 0 to"),
         ("    path:", "    pth:", "my.yaml:8: pth: is not known; did you mean path?"),
-        ("[1.0, 14.0, 2.0, -3.0]", "[1.0]", "my.yaml:10: path: has the row a list of 1; give 2"),
-        ("[1.0, 14.0, 2.0, -3.0]", "x", "my.yaml:10: path: has the row 'x'; give 2 rows or more"),
+        ("[1.0, 14.0, 2.0, -3.0]", "[1.0]", "my.yaml:10: path: has a row that is a list of"),
+        ("[1.0, 14.0, 2.0, -3.0]", "x", "my.yaml:10: path: has a row that is 'x'; give 2"),
         ("[1.0, 14.0,", "[1.0, yes,", "my.yaml:10: path: is 'yes'; give -1e+07 to 1e+07 m"),
         ("[1.0, 14.0,", "[1.0, 1e8,", "my.yaml:10: path: is 1e+08; give -1e+07 to 1e+07 m"),
         ("[1.0, 14.0,", "[-1.0, 14.0,", "path: its times do not increase; give each row a later"),
@@ -111,5 +111,7 @@ def test_a_rollout_starts_when_the_target_says() -> None:
     rollout = run_rollout(setup, ConstantVelocity())
     assert rollout.steps_run == 20
     late = RolloutSetup(LOG, MOVING, replace(motion, start_after=99.0), steps=20)
-    with pytest.raises(InputError, match="starts 99 s after the first ego pose, the log has 20 s"):
+    with pytest.raises(
+        InputError, match="starts 99 s after the first ego pose, but the log has 20 s"
+    ):
         prepare(late)

@@ -205,21 +205,24 @@ def test_a_planner_that_looks_at_nothing_is_trusted(log: Path, tmp_path: Path) -
     assert judged_rollouts(blind) == []
     metrics = read_metrics(blind / "scenes" / "street-0" / METRICS_FILE)["rollouts"]
     assert metrics[0]["trust"]["value"] == 1.0
-    assert "looks at no images" in metrics[0]["trust"]["words"]
+    assert "uses no images" in metrics[0]["trust"]["words"]
 
 
 @pytest.mark.parametrize(
     ("words", "message"),
     [
-        ([], "GRIDS: grid: none is named"),
+        ([], "GRIDS: grid: none is given"),
         (["GRID"], "--out: calibration: is missing"),
-        (["GRID", "--out", "x.json", "--calibration", "y.json"], "--calibration gives another"),
+        (
+            ["GRID", "--out", "x.json", "--calibration", "y.json"],
+            "--out: calibration: is made from GRIDS",
+        ),
         (["--validate", "GRID", "--calibration", "nowhere.json"], "nowhere.json"),
         (["nowhere", "--out", "x.json"], "bench.json"),
-        (["BLIND", "--out", "x.json"], "no planner of the grid looks at images"),
+        (["BLIND", "--out", "x.json"], "no planner of the grid uses images"),
         (["UNFINISHED", "--out", "x.json"], "the grid is not finished"),
         (["WITHOUT-TRUTH", "--out", "x.json"], "no rollout was compared with the truth"),
-        (["ONE", "--out", "x.json"], "none can be left out"),
+        (["ONE", "--out", "x.json"], "at least 2 are needed"),
     ],
 )
 def test_bad_input_is_one_line(

@@ -41,7 +41,7 @@ def test_tracks_of_a_log(
     ("options", "problem"),
     [
         ([], "--scene: scene: is not given"),
-        (["--scene", "SCENE"], "--track: tracks: none is named"),
+        (["--scene", "SCENE"], "--track: tracks: none is given"),
         (["--scene", "SCENE", "--track", "1"], "track 1"),
     ],
 )

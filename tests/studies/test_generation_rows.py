@@ -198,9 +198,9 @@ def test_inputs_for_others_and_a_study_beside_the_paper(
     (kit / "study.json").write_text(json.dumps(record))
     write_views(kit / "there", list(cases.values()), 0.5)
     assert main([*run, "--model", f"mine={NEAR}"]) == 0
-    assert "Beside the paper" in " ".join(capsys.readouterr().out.split())
+    assert "Compared with the paper" in " ".join(capsys.readouterr().out.split())
     lines = (out / "study.md").read_text().splitlines()
-    start = lines.index("## Beside the paper: here (there)")
+    start = lines.index("## Compared with the paper: ours (paper)")
     rows = [line.split(" | ") for line in lines[start + 4 : start + 13]]
     assert [row[0].strip("| ") for row in rows] == [*(r["name"] for r in record["rows"]), "mine"]
     assert rows[0][2:4] == ["- (13.19)", "- (0.5691)"]
@@ -234,7 +234,7 @@ def test_study_files_at_fault(vehicles: Path, tmp_path: Path) -> None:
         return str(caught.value)
 
     assert "rows: have no source" in refused(source=None)
-    assert "real3d: is there twice" in refused(twice=True)
+    assert "real3d: is listed twice" in refused(twice=True)
     assert "rows.0.name" in refused(name="../up")
     assert "is not one of Real3D" in refused(published="Real4D")
     assert "rows.0.colour" in refused(colour="red")
@@ -270,9 +270,9 @@ def test_folders_without_results_are_refused(vehicles: Path, tmp_path: Path) -> 
         (f"files:{tmp_path / 'none'}", "none: results: is not a folder"),
         (
             f"files:{tmp_path / 'empty'}",
-            r"hold no ID\.ply, \.glb, \.gltf, \.obj, \.spz or \.usda of any vehicle, such as car",
+            r"contain no ID\.ply, \.glb, \.gltf, \.obj, \.spz or \.usda for any vehicle",
         ),
-        (f"views:{tmp_path / 'empty'}", "hold no ID/VIEW.png of any vehicle"),
+        (f"views:{tmp_path / 'empty'}", "contain no ID/VIEW.png for any vehicle"),
     ):
         with pytest.raises(InputError, match=problem):
             run_study(settings(vehicles, {"a": StudyModel(source)}), tmp_path / "out")

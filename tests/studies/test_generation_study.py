@@ -203,9 +203,9 @@ def test_bad_input_is_one_line(
         assert line.startswith("recast: ") and line.count("\n") == 1
         return line
 
-    assert "is not NAME=WHAT" in refused("template")
-    assert "is not NAME=WHAT" in refused("../up=template")
-    assert "far: is named twice" in refused(f"far={FAR}", f"far={NEAR}")
+    assert "is not of the form NAME=WHAT" in refused("template")
+    assert "is not of the form NAME=WHAT" in refused("../up=template")
+    assert "far: is given twice" in refused(f"far={FAR}", f"far={NEAR}")
     assert "diorama: is not known" in refused("a=diorama")
     assert "pipeline.json" in refused(f"a={vehicles}")
     assert "is missing" in refused("a=nowhere.ply")
@@ -216,7 +216,7 @@ def test_bad_input_is_one_line(
     assert "pth: does not exist" in refused(f"far={FAR}", **{"lpips-weights": "nowhere.pth"})
     out.mkdir()
     (out / "thesis.tex").touch()
-    assert "holds something else than a study" in refused(f"far={FAR}")
+    assert "contains other files than those of a study" in refused(f"far={FAR}")
     shutil.rmtree(out)
-    assert "none given" in refused()
+    assert "none is given" in refused()
     assert parse_models(()) == {}

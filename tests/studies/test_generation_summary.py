@@ -106,7 +106,7 @@ def test_vehicles_that_one_model_failed_on_count_for_none() -> None:
     assert [row.made for row in block.rows] == [10, 11]
     assert block.rows[0].scores["psnr"] == pytest.approx(block.rows[1].scores["psnr"])
     assert block.failures["full"] == {"car-11": "structure is empty"}
-    with pytest.raises(ValueError, match="no vehicle was made by every model"):
+    with pytest.raises(ValueError, match="there is no vehicle that every model made"):
         summarize("clean", {"a": cells(0, 0, IDS), "b": cells(0, 0)}, truth())
 
 
@@ -120,7 +120,7 @@ def test_reports_say_what_was_found() -> None:
     assert "| base | 12 | 26.14 |" in text
     assert "| full - base | PSNR dB ↑ | +2.000 | [+2.000, +2.000] | full |" in text
     assert "full did not make car-4: structure is empty" in text
-    assert "the model's own forward axis" in text and "never left clean" in text
+    assert "the model's own forward axis" in text and "every input is perturbed" in text
     data = json.loads(json.dumps(study_json(facts, blocks), allow_nan=False))
     assert data["placement"] == "canonical"
     assert data["blocks"][1]["rows"][0]["scores"]["psnr"] == pytest.approx(26.136364)
@@ -147,7 +147,7 @@ def test_cells_come_back_and_go_stale(tmp_path: Path) -> None:
     write_cell(folder, cell, {"strip": picture})
     assert {path.name: path.read_bytes() for path in folder.iterdir()} == before
     (folder / "features.npz").write_bytes(b"PK cut short")
-    with pytest.raises(InputError, match="remove it and run again"):
+    with pytest.raises(InputError, match="delete it and run again"):
         read_cell(folder)
     with pytest.raises(InputError, match=r"other.png: file: is missing"):
         read_strip(folder, "other")

@@ -154,7 +154,7 @@ def test_bad_input_is_one_line(
         ("--vqa", "nothing"): "VQA scorer: nothing: is not known",
         ("--clip", "clip-vit-l14"): "run `recast weights get clip-vit-l14`",
         ("--arm", "oracle"): "synthetic",
-        ("--least-px", "5000"): "none counts",
+        ("--least-px", "5000"): "none could be measured",
     }
     for words, said in cases.items():
         out, store = tmp_path / "grid", str(finished.parent / "store")
@@ -164,4 +164,4 @@ def test_bad_input_is_one_line(
         shutil.rmtree(out, ignore_errors=True)
     other = command(tiny_log_folder, finished, vehicle, "--crop", "masked")
     assert main(other) == 2
-    assert "another grid lies there" in capsys.readouterr().err
+    assert "the folder contains another grid" in capsys.readouterr().err

@@ -164,7 +164,7 @@ def test_what_cannot_be_made_is_refused(name: str, seed: int, seconds: float, me
     ("changed", "message"),
     [
         ({"dataset": "kitti"}, "only synthetic"),
-        ({"world_version": str(WORLD_VERSION + 1)}, "make the log anew"),
+        ({"world_version": str(WORLD_VERSION + 1)}, "make the log again"),
         ({"seed": "x"}, "does not name a world"),
         ({"scene": "moon"}, "is not known"),
         ({"light": "candle"}, "does not name a world"),

@@ -121,7 +121,7 @@ def test_a_column_is_there_once(tmp_path: Path, suffix: str, read: Any) -> None:
         "parquet": lambda: pq.write_table(table, path),
     }
     write[suffix]()
-    for column, problem in (("a", "is there twice"), ("b", "is missing")):
+    for column, problem in (("a", "occurs twice"), ("b", "is missing")):
         with pytest.raises(InputError, match=f"column {column}: {problem}"):
             read(path, [column], MEND)
     path.write_bytes(b"no table")

@@ -143,7 +143,7 @@ def test_steps_without_finite_loss_change_nothing_and_then_end_the_training(
     tmp_path: Path,
 ) -> None:
     settings = SETTINGS.model_copy(update={"steps": 100, "checkpoint_every": 1})
-    with pytest.raises(InputError, match="step 27: the loss is no longer finite"):
+    with pytest.raises(InputError, match="step 27: the loss is not finite"):
         train(Line(bad_from=8), settings, tmp_path)
     good = train(
         Line(), settings.model_copy(update={"schedule": "constant", "steps": 8}), tmp_path / "good"

@@ -213,7 +213,7 @@ def test_pickle_is_not_run(tmp_path: Path):
     torch.save(malice, tmp_path / "a.pth")
     (tmp_path / "b.pth").write_bytes(pickle.dumps(malice))
     assert "getattr, which is not a tensor and is never unpickled" in _refusal(tmp_path / "a.pth")
-    assert "is damaged, or no PyTorch checkpoint" in _refusal(tmp_path / "b.pth")
+    assert "is damaged or is not a PyTorch checkpoint" in _refusal(tmp_path / "b.pth")
     assert not (tmp_path / "trace").exists()
 
 

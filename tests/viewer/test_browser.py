@@ -166,7 +166,7 @@ def test_arms_are_switched(tab: Tab, page: Page) -> None:
 def test_the_camera_rides_along_and_is_let_go(tab: Tab, page: Page) -> None:
     window = next(iter(page.server.get_clients().values()))
     choose(tab, "Camera", "behind the ego")
-    tab.get_by_role("button", name="ride along").click()
+    tab.get_by_role("button", name="follow").click()
     before = page.playback.step
     tab.get_by_role("button", name="+1", exact=True).click()
     rig = page.playback.drive.rig
@@ -174,7 +174,7 @@ def test_the_camera_rides_along_and_is_let_go(tab: Tab, page: Page) -> None:
     wait_until(
         lambda: 8 < np.linalg.norm(window.camera.position - rig[before + 1][:3, 3]) < 11, tab
     )
-    tab.get_by_role("button", name="let go").click()
+    tab.get_by_role("button", name="release").click()
     picture(tab, "page")
 
 
@@ -196,7 +196,7 @@ def test_layers_and_evidence_of_a_track(tab: Tab, page: Page) -> None:
     tab.get_by_role("checkbox", name="Coverage colours").dispatch_event("click")
     tab.get_by_role("tab", name="Track").click()
     choose(tab, "Track", page.playback.drive.controlled[0])
-    tab.get_by_role("button", name="Show what was seen of it").click()
+    tab.get_by_role("button", name="Show this track in the log").click()
     tab.get_by_text("labelled for").wait_for()
 
 

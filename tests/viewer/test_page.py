@@ -169,7 +169,7 @@ def test_the_runner_runs_and_films_and_counts(inputs: ViewInputs) -> None:
 def test_a_planner_that_looks_needs_a_street(inputs: ViewInputs) -> None:
     runner = inputs.runner
     assert runner is not None
-    with pytest.raises(InputError, match="no street"):
+    with pytest.raises(InputError, match="has no scene to render"):
         runner.run(runner.motions["advancing-a"], "gtrs-mini", "oracle", lambda *_: None)
 
 

@@ -137,8 +137,8 @@ def test_a_missing_file_repository_or_answer(
     source = toy.sources[0]
     said = refusal(entry(replace(source, files=("gone.json",))))
     assert "someone/toy: gone.json: is not in the repository at main" in said
-    assert "is not there" in refusal(entry(replace(source, where="someone/gone")))
-    assert "is not there" in refusal(entry(Source("https://example.org", ("gone",), MIT)))
+    assert "does not exist" in refusal(entry(replace(source, where="someone/gone")))
+    assert "does not exist" in refusal(entry(Source("https://example.org", ("gone",), MIT)))
     hub.stop()
     said = refusal(toy)
     assert "does not answer (ConnectError" in said and "check the connection" in said
@@ -217,7 +217,7 @@ def test_a_changed_byte_is_found(hub: Hub, toy: Weights) -> None:
     with pytest.raises(InputError, match="changed after toy was fetched"):
         fetch(toy)
     path.unlink()
-    with pytest.raises(InputError, match="lack this file"):
+    with pytest.raises(InputError, match="this file is missing"):
         opened(toy)
 
 

@@ -51,7 +51,7 @@ def test_a_generator_by_name(hub: Hub, tmp_path: Path, monkeypatch: pytest.Monke
     source = publish(hub, write_golden_model(tmp_path / "model"), "someone/tiny-trellis")
     weights = Weights("trellis", "tests", ("--generator", "--model"), 0.1, (source,), "generator")
     monkeypatch.setitem(PUBLISHED, "trellis", weights)  # type: ignore[arg-type]
-    line = "weights: trellis: are not here; run `recast weights get trellis`"
+    line = "weights: trellis: are not downloaded; run `recast weights get trellis`"
     for ask in (GENERATORS.resolve, generator_source, partial(GENERATORS.takes, option="axes")):
         with pytest.raises(InputError) as caught:
             ask("trellis")
@@ -75,7 +75,7 @@ def test_a_folder_of_that_name_is_written_with_a_dot(
     monkeypatch.chdir(tmp_path / "here")
     assert GENERATORS.place("./toy") == Path("toy")
     assert GENERATORS.place(Path("toy")) == Path("toy")
-    with pytest.raises(InputError, match="weights: toy: are not here"):
+    with pytest.raises(InputError, match="weights: toy: are not downloaded"):
         GENERATORS.place("toy")
     assert located("--generator", Path("toy")) == Path("toy"), "options that take paths"
 
@@ -187,7 +187,7 @@ def test_the_command_line(
 ) -> None:
     assert told(capsys, "path", "toy") == (
         2,
-        "recast: weights: toy: are not here; run `recast weights get toy`; "
+        "recast: weights: toy: are not downloaded; run `recast weights get toy`; "
         "see docs/weights.md#names",
     )
     assert "no weights in" in told(capsys, "verify")[1]
@@ -252,7 +252,7 @@ def test_options_that_take_paths(
     ):
         assert main(words) == 2
         name = next(one for one in reversed(words) if one in PUBLISHED)
-        line = f"recast: weights: {name}: are not here; run `recast weights get {name}`"
+        line = f"recast: weights: {name}: are not downloaded; run `recast weights get {name}`"
         line += "; see docs/weights.md#names"
         assert capsys.readouterr().err.splitlines() == [line]
     assert located("--clip", None) is None

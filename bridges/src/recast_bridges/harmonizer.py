@@ -66,10 +66,10 @@ class HarmonizerRestorer:
             given = output.get("id")
             data = base64.b64decode(output["image"]["data"], validate=True)
         except (AttributeError, KeyError, TypeError, ValueError, binascii.Error):
-            problem = f"its output of {name} has no image with base64 data"
+            problem = f"its output for {name} has no image with base64 data"
             raise self._service.fault(_PATH, problem) from None
         if given not in (None, name):
-            raise self._service.fault(_PATH, f"answered {str(given)[:80]!r} in the place of {name}")
+            raise self._service.fault(_PATH, f"answered {str(given)[:80]!r} in place of {name}")
         height, width = sent.shape[:2]
         where = f"restorer {self.name}, {name}"
         return decode(data, "png", (width, height), where, "the image that was sent")

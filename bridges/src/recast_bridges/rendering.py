@@ -108,7 +108,7 @@ class ScenePainter:
             ]
         with self._lock:
             if not wanted():
-                raise RefusedError("CANCELLED", "the caller has gone")
+                raise RefusedError("CANCELLED", "the caller has disconnected")
             images = [
                 draw_image(rasterizer, pinhole, pose, poses, request.timestamp_us)
                 for pinhole, pose in views
@@ -122,7 +122,7 @@ class ScenePainter:
         told = request.scene_id, track_id
         if told not in self._told and len(self._told) < 10_000:
             self._told.add(told)
-            _LOG.warning("scene %s has no model of track %r: it is not drawn", *told)
+            _LOG.warning("scene %s has no model of track %r: the track is not rendered", *told)
         return False
 
 

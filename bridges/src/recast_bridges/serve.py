@@ -134,7 +134,7 @@ def served_scenes(request: ServeRequest, dataset_frame: bool = False) -> dict[st
     for word in request.scenes:
         for name, scene, log in _scenes_of(word, logs, request.arm):
             if name in found:
-                mend = "name one of them ID=FOLDER"
+                mend = "give one of the scenes another id: ID=FOLDER"
                 raise InputError("SCENE", name, "is the id of two scenes", mend)
             cameras = {
                 key: CameraMount(stream.camera, stream.rig_from_camera)
@@ -158,7 +158,7 @@ def _scenes_of(
     if (path / SCENE_FILE).is_file():
         scene = load_scene(path)
         if scene.log_name not in logs:
-            problem = f"is of the log {scene.log_name}, which is not named"
+            problem = f"needs the log {scene.log_name}, which is not given"
             raise InputError(path, "scene", problem, "give the log's folder with --log")
         yield name or scene.log_name, scene, logs[scene.log_name]
         return

@@ -110,7 +110,7 @@ def choose(
         progress(len(makers), len(makers))
     if best is None:
         raise failure or InputError(
-            "candidates", "vehicles", "none was generated", "name at least one generator"
+            "candidates", "vehicles", "none was generated", "give at least one generator"
         )
     _, chosen, actor = best
     rows[chosen] = rows[chosen].model_copy(update={"chosen": True})

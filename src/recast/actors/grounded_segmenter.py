@@ -205,7 +205,7 @@ class GroundedSamSegmenter:
                 folder,
                 "folder",
                 "is missing",
-                f"name a folder that holds {DETECTOR_FOLDER} and {SAM_FOLDER}",
+                f"give a folder that holds {DETECTOR_FOLDER} and {SAM_FOLDER}",
             )
         self.rule = rule or DetectionRule()
         self.device = device or ("cuda" if torch.cuda.is_available() else "cpu")

@@ -200,6 +200,6 @@ class Export:
 
 Actor = shared.group(
     "actor",
-    "Make, film, draw or export a view-complete vehicle.",
+    "Make, draw or export a view-complete vehicle, or write a video of it.",
     {"make": Make, "generate": Generate, "turntable": Turntable, "show": Show, "export": Export},
 )

@@ -96,6 +96,6 @@ class Path:
 
 Weights = shared.group(
     "weights",
-    "List, fetch and check published weights; recast downloads nothing else.",
+    "List, download and check published weights; recast downloads nothing else.",
     {"list": List, "get": Get, "verify": Verify, "path": Path},
 )

@@ -171,6 +171,6 @@ def verify(artefact: Artefact) -> None:
         path = member(artefact.path, name, artefact.folder / RECORD_FILE, "files")
         with files.disk_errors(path):
             if not path.is_file():
-                raise InputError(path, "artefact", "lacks this file, which was deleted", mend)
+                raise InputError(path, "artefact", "this file was deleted", mend)
             if path.stat().st_size != file.size or file_hash(path) != file.hash:
                 raise InputError(path, "bytes", "changed after the artefact was made", mend)

@@ -44,7 +44,7 @@ _FAULTS = {
     errno.EISDIR: ("file", "is a folder", "check the path"),
     errno.ENOTDIR: _NO_FOLDER,
     errno.EEXIST: _NO_FOLDER,  # what mkdir says of a file among the parents
-    errno.ENAMETOOLONG: ("file", "has too long a name", "choose a shorter one"),
+    errno.ENAMETOOLONG: ("file", "has too long a name", "choose a shorter name"),
     errno.ELOOP: ("file", "is a link that leads back to itself", "remove the link"),
     errno.EIO: ("disk", "failed (input/output error)", "check the disk"),
 }
@@ -78,7 +78,9 @@ def disk_errors(path: str | Path) -> Iterator[None]:
     except ValueError as error:
         if isinstance(error, InputError) or "null" not in str(error):
             raise
-        raise InputError(path, "file", "has a NUL character in its name", "check it") from error
+        raise InputError(
+            path, "file", "has a NUL character in its name", "check the name"
+        ) from error
 
 
 def partial_name(path: str | Path) -> Path:
@@ -151,7 +153,9 @@ def require_new(path: str | Path) -> None:
         InputError: `path` exists.
     """
     if Path(path).exists():
-        raise InputError(path, "output folder", "exists already", "name another one or remove it")
+        raise InputError(
+            path, "output folder", "exists already", "name another folder or remove this one"
+        )
 
 
 def _clear(folder: Path) -> None:
@@ -306,7 +310,7 @@ def parse_json(where: str | Path, data: str | bytes) -> Any:
         InputError: not UTF-8, not JSON, nested too deeply, or with a number that is not finite
             or has thousands of digits.
     """
-    mend = "write the file anew"
+    mend = "write the file again"
     try:
         text = data.decode("utf-8-sig") if isinstance(data, bytes) else data
         return json.loads(text, parse_float=_finite, parse_constant=_refused)
@@ -327,4 +331,4 @@ def _finite(text: str) -> float:
 
 
 def _refused(text: str) -> NoReturn:
-    raise ValueError(f"{text} is not a number of JSON")
+    raise ValueError(f"{text} is not a number that JSON allows")

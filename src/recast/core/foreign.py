@@ -109,7 +109,7 @@ class ForeignCode:
             what: the call, for errors, such as "plan at step 5".
 
         Raises:
-            InputError: the code ends the program, or writes into what is read-only.
+            InputError: the code ends the program, or writes into a read-only object.
             Exception: whatever else the code raises.
         """
         if self._own:
@@ -123,7 +123,7 @@ class ForeignCode:
             except Exception as error:
                 if not _refers_to_read_only(error):
                     raise
-                problem = f"writes into what is read-only ({type(error).__name__}: {error})"
+                problem = f"writes into a read-only object ({type(error).__name__}: {error})"
                 mend = "copy what recast hands over before you change it, such as array.copy()"
                 raise InputError(self.who, what, problem, mend) from error
             except BaseException as error:

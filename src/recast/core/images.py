@@ -314,7 +314,7 @@ def decode_mask(
     with opened(source, where, **{"what": "mask", **how}) as image:
         if image.size != size:
             wrong, right = (f"{width}x{height}" for width, height in (image.size, size))
-            raise InputError(where, "size", f"is {wrong}, {says} {right}", f"cut it like {says}")
+            raise InputError(where, "size", f"is {wrong}, {says} {right}", f"crop it like {says}")
         levels = image.levels()
     values = grey(levels)
     if levels.shape[2:] == (4,):

@@ -159,6 +159,6 @@ def _shut(sock: socket.socket) -> None:
 def _told(error: OSError | HTTPException) -> str:
     """What happened, for people."""
     if isinstance(error, ConnectionRefusedError):
-        return "nobody listens there"
+        return "no program listens there"
     text = (error.strerror if isinstance(error, OSError) else None) or str(error)
     return f"the connection failed ({text or type(error).__name__})"

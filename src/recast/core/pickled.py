@@ -178,7 +178,7 @@ class _Reader(pickle._Unpickler):
         state = self.stack.pop()  # type: ignore[attr-defined]
         filled = self.stack[-1]  # type: ignore[attr-defined]
         if type(filled) not in _FILLED:
-            raise pickle.UnpicklingError("a state of something else than an array")
+            raise pickle.UnpicklingError("a state of an object that is not an array")
         filled.__setstate__(state)
 
     def _named(self, items: list[Any]) -> None:
@@ -187,7 +187,7 @@ class _Reader(pickle._Unpickler):
             raise pickle.UnpicklingError("a table with keys that are neither texts nor numbers")
         table = self.stack[-1]  # type: ignore[attr-defined]
         if not isinstance(table, dict) or len(items) % 2:
-            raise pickle.UnpicklingError("members of what is not a table")
+            raise pickle.UnpicklingError("members of an object that is not a table")
         table.update(zip(items[::2], items[1::2], strict=True))
 
     def _set_item(self) -> None:

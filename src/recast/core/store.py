@@ -113,11 +113,16 @@ class Store:
         """
         kind, _, key = reference.partition("/")
         if next(references(reference), None) is None:
-            raise InputError(reference, "reference", "is none", f"give KIND/KEY, see {self.root}")
+            raise InputError(
+                reference,
+                "reference",
+                "is not the name of an artefact",
+                f"give KIND/KEY, see {self.root}",
+            )
         found = self._find(kind, key)
         if found is None:
             raise InputError(
-                self.root, reference, "is not in the store", "run again, and it is made again"
+                self.root, reference, "is not in the store", "run the command again to make it"
             )
         return found
 
@@ -199,7 +204,10 @@ class Store:
         folder = os.path.relpath(user.absolute(), self.root)
         record = UserRecord(folder=folder, references=tuple(names))
         path = self.root / _USERS / f"{value_hash(folder)}.json"
-        if path.exists() and read_record(path, UserRecord, STORE_VERSION, "remove it") == record:
+        if (
+            path.exists()
+            and read_record(path, UserRecord, STORE_VERSION, "remove this file") == record
+        ):
             return
         files.write_json(path, record.model_dump(mode="json"))
 
@@ -233,7 +241,7 @@ class Store:
         folder = self.root / _USERS
         found = {}
         for path in sorted(folder.glob("*.json")) if folder.is_dir() else ():
-            record = read_record(path, UserRecord, STORE_VERSION, "remove it")
+            record = read_record(path, UserRecord, STORE_VERSION, "remove this file")
             user = Path(os.path.normpath(self.root / record.folder))
             with suppress(OSError):  # such as a name that no folder can have
                 if user.is_dir():

@@ -72,7 +72,7 @@ def read_torch_file(path: Path, mend: str, field: str = "file", arrays: bool = F
                 "where it was made, save its state dict alone",
             ) from None
         reason = "" if isinstance(error, UnpicklingError) else _reason(error)
-        problem = f"is damaged, or no PyTorch checkpoint{reason}"
+        problem = f"is damaged or is not a PyTorch checkpoint{reason}"
         raise InputError(path, field, problem, mend) from None
 
 
@@ -108,7 +108,7 @@ def read_safetensors(path: Path, field: str, mend: str) -> tuple[dict[str, Tenso
     """
     with disk_errors(path):
         if not path.is_file():
-            raise InputError(path, field, "is missing or no file", "check the path")
+            raise InputError(path, field, "does not exist or is not a file", "check the path")
     try:
         with opened_safetensors(path) as file:
             tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
@@ -166,7 +166,7 @@ def read_header(path: Path, mend: str) -> dict[str, Tensor]:
     except (SafetensorError, RuntimeError) as error:
         size = path.stat().st_size
         reason = str(error).partition("\n")[0].removeprefix("Error while deserializing header: ")
-        problem = f"has {size} bytes: truncated, or no safetensors file ({reason})"
+        problem = f"has {size} bytes: it is truncated or is not a safetensors file ({reason})"
         raise InputError(path, "file", problem, mend) from None
     return tensors
 

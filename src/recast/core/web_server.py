@@ -53,7 +53,7 @@ def refusal_of(
         names: further names, in lower case, under which the server may be asked.
     """
     if len(hosts) != 1:
-        return "Host: is missing, or is there twice"
+        return "Host: is missing, or given twice"
     host = hosts[0].lower()
     name = _name_of(host)
     if not _is_ours(name, listening, names):
@@ -120,7 +120,7 @@ async def json_body(request: Request, most_bytes: int) -> Any:
     if kind != "application/json":
         raise BodyError(415, "body: is not application/json")
     if "Content-Length" in request.headers and "Transfer-Encoding" in request.headers:
-        raise BodyError(400, "body: has a length and an encoding of its own")
+        raise BodyError(400, "body: must have a length and no transfer encoding")
     data = bytearray()
     try:
         async with asyncio.timeout(_BODY_SECONDS):
@@ -207,7 +207,9 @@ class WebServer(uvicorn.Server):
         except (OSError, OverflowError) as error:
             taken = getattr(error, "errno", None) == errno.EADDRINUSE
             problem = "is taken by another program" if taken else f"cannot be used ({error})"
-            raise InputError("`port`", str(port), problem, "name another, or 0 for any") from None
+            raise InputError(
+                "`port`", str(port), problem, "choose another port, or 0 for a free one"
+            ) from None
         super().__init__(
             uvicorn.Config(
                 _Guarded(app, host, names),

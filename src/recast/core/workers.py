@@ -191,7 +191,7 @@ def _cancelling(executor: ProcessPoolExecutor, finished: str) -> Iterator[None]:
         raise InputError(
             "`workers`",
             "process",
-            "ended, perhaps for want of memory",
+            "ended, perhaps out of memory",
             f"run again with fewer; {finished} stay",
         ) from None
     except BaseException:

@@ -23,7 +23,7 @@ from recast.core.errors import InputError
 MOST_NODES = 10_000
 MOST_LEVELS = 20
 
-_MEND = "write it as the examples in the documentation"
+_MEND = "write it like the examples in the documentation"
 _PLAIN_TAGS = ("str", "int", "float", "bool", "null", "map", "seq", "timestamp", "merge", "value")
 _NUMBER = re.compile(r"[-+]?([0-9]+(\.[0-9]*)?|\.[0-9]+)([eE][-+]?[0-9]+)?")
 """As people write numbers; Python's would be 1_0, nan and infinity, too."""
@@ -168,7 +168,9 @@ class _Tree:
         """One node; `above` are those that it lies in."""
         where = f"{self._where}:{line}"
         if any(node is outer for outer in above):
-            raise InputError(where, "YAML", "holds an alias of itself", "write it out")
+            raise InputError(
+                where, "YAML", "holds an alias that refers to itself", "write the value out"
+            )
         self._nodes += 1
         inner = (*above, node)
         _refuse_if_large(self._nodes, len(inner), where)

@@ -149,7 +149,7 @@ class DrivingEnv(gymnasium.Env[dict[str, Any], NDArray[np.float32]]):
         options = options or {}
         for name in options:
             if name not in _OPTIONS:
-                mend = f"the options are {', '.join(_OPTIONS)}"
+                mend = f"choose one of {', '.join(_OPTIONS)}"
                 raise InputError("DrivingEnv", f"option {name}", "is not known", mend)
         if options != self._options:
             self._simulator, self._options = self._make(options), dict(options)
@@ -263,7 +263,7 @@ def _check(
     if action == "controls" and "controller" in settings:
         refuse("controller", settings["controller"], "leave it out with action='controls'")
     if isinstance(terminate, str) or not set(terminate) <= set(TERMINATIONS):
-        refuse("terminate", terminate, f"choose of {', '.join(TERMINATIONS)}")
+        refuse("terminate", terminate, f"give a list of names from {', '.join(TERMINATIONS)}")
     if not 1 <= most_actors <= 1000:
         refuse("most_actors", most_actors, "give 1 to 1000")
     if render_mode not in (None, "rgb_array"):

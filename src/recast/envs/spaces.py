@@ -49,7 +49,7 @@ def checked_action(action: object, kind: ActionKind) -> Array:
         InputError: it is no array of finite numbers of the right shape.
     """
     shape = (WAYPOINTS, 3) if kind == "waypoints" else (2,)
-    mend = f"give {kind} {shape}, see DrivingEnv.action_space"
+    mend = f"give {kind} {shape}, as in DrivingEnv.action_space"
     try:
         values = np.asarray(action, np.float64)
     except (TypeError, ValueError):

@@ -91,7 +91,9 @@ def load_log(
         return log
     if drive is not None or labels is not None or cameras or options:
         problem = "is missing, but a drive or options of an importer are given"
-        raise InputError("load_log", "importer", problem, 'name one, such as importer="kitti"')
+        raise InputError(
+            "load_log", "importer", problem, 'name an importer, such as importer="kitti"'
+        )
     if isinstance(source, DrivingLog):
         log = source
         require_plausible(log, f"log {log.name}", "correct the data from which the log was made")

@@ -111,14 +111,14 @@ def read_cases(
         held_out = list(vehicles.of_split("held-out"))[:limit]
         cases = [_case_of_identity(folder, identity, seed, views) for identity in held_out]
         if not cases:
-            raise InputError(folder, "held-out", "has no identity", "take a larger set")
+            raise InputError(folder, "held-out", "contains no vehicle", "use a larger set")
         return cases
     if not holds_real_crops(folder):
         raise InputError(
             folder,
             "set",
             f"has no {SET_FILE}, no {INDEX_FILE} and no ID/input_views",
-            "name a folder of vehicles; see docs/data.md#vehicle-sets",
+            "give a folder of vehicles; see docs/data.md#vehicle-sets",
         )
     return [
         ActorCase(
@@ -140,7 +140,9 @@ def _case_of_identity(folder: Path, identity: IdentitySource, seed: int, views: 
     record, shared = identity.record, identity.set_record
     where = folder / record.id
     if record.size is None:
-        raise InputError(where, "size", "is null", "measure the vehicles: they are placed by it")
+        raise InputError(
+            where, "size", "is null", "measure the vehicles: placing them needs the size"
+        )
     targets = list(dict.fromkeys(_nearest(shared.azimuths_deg, goal) for goal in TARGET_AZIMUTHS))
     others = [index for index in range(shared.views) if index not in targets]
     # by name, not by place in the list: a set that grows keeps the inputs of all it had
@@ -148,7 +150,7 @@ def _case_of_identity(folder: Path, identity: IdentitySource, seed: int, views: 
     chosen = int(rng.choice(others or targets))
     reserved = [index for index in targets if index != chosen]
     if not reserved:
-        raise InputError(where, "views", "is one", "a set needs several views")
+        raise InputError(where, "views", "is 1", "use a set with several views of each vehicle")
     return ActorCase(
         id=record.id,
         category=record.category,
@@ -185,9 +187,7 @@ def _view_of_set(where: Path, identity: IdentitySource, index: int) -> ActorView
     try:
         camera, actor_from_camera = identity.camera(index)
     except ValueError as error:
-        raise InputError(
-            where, "camera", str(error), "only sets with measured cameras can be judged on"
-        ) from None
+        raise InputError(where, "camera", str(error), "use a set with measured cameras") from None
     return ActorView(
         f"view_{index:02d}", partial(identity.view, index), camera, se3.inverse(actor_from_camera)
     )
@@ -222,7 +222,7 @@ def _orbit_view(id: str, view: ActorView, radius: float) -> ActorView:
             f"{id}/{view.name}",
             "camera",
             "does not look at the box centre",
-            "compare in the set's own views: `targets` set",
+            "compare in the set's own views (`targets` set)",
         )
     camera = pinhole(ORBIT_PIXELS, ORBIT_PIXELS, FOV_DEG)
     pose = view.camera_from_actor.copy()

@@ -118,7 +118,7 @@ def com_driven(states: ArrayLike, dt: float = 0.1) -> Comfort:
     states = np.asarray(states, np.float64)[::every]
     if len(states) < _WINDOW:
         seconds = _NUPLAN_DT * (_WINDOW - 1)
-        return _none(f"less than {seconds:.1f} s were driven, nuPlan's smoothing needs as much")
+        return _none(f"nuPlan's smoothing needs a drive of {seconds:.1f} s or more")
     signals = driven_signals(states, _NUPLAN_DT)
     passed = check(signals, NUPLAN_LIMITS, strict=True)
     failed = [name for name, ok in zip(NUPLAN_LIMITS, passed, strict=True) if not ok]
@@ -135,7 +135,7 @@ def _worst(name: str, values: Array) -> str:
 
 
 def _other_steps(dt: float) -> str:
-    return f"nuPlan's smoothing is for steps of {_NUPLAN_DT} s, these are steps of {dt:g} s"
+    return f"nuPlan's smoothing needs steps of {_NUPLAN_DT} s, but the drive has steps of {dt:g} s"
 
 
 def _none(reason: str, names: tuple[str, ...] = tuple(NUPLAN_LIMITS)) -> Comfort:

@@ -36,9 +36,11 @@ def frechet_distance(first: ArrayLike, second: ArrayLike) -> float:
     """
     one, two = np.asarray(first, np.float64), np.asarray(second, np.float64)
     if one.ndim != 2 or two.ndim != 2 or one.shape[1] != two.shape[1]:
-        raise ValueError(f"frechet_distance: features of shapes {one.shape} and {two.shape}")
+        raise ValueError(f"frechet_distance: feature shapes {one.shape} and {two.shape} differ")
     if min(len(one), len(two)) < 2:
-        raise ValueError(f"frechet_distance: {len(one)} and {len(two)} pictures, needs 2 each")
+        raise ValueError(
+            f"frechet_distance: {len(one)} and {len(two)} images, expected at least 2 each"
+        )
     a, b = _factor(one), _factor(two)
     apart = one.mean(axis=0) - two.mean(axis=0)
     roots = np.linalg.svd(a @ b.T, compute_uv=False).sum()
@@ -92,7 +94,7 @@ class FeatureStats:
         used = [(many, one) for many, one in zip(times, groups, strict=True) if many * one.count]
         count = sum(many * one.count for many, one in used)
         if not count:
-            raise ValueError("FeatureStats.merged: no picture")
+            raise ValueError("FeatureStats.merged: there are no images")
         shares = np.array([many * one.count for many, one in used], np.float64)
         means = np.stack([one.mean for _, one in used])
         mean = shares @ means / count
@@ -118,7 +120,9 @@ def frechet_between(first: FeatureStats, second: FeatureStats) -> float:
     """
     few, many = sorted((first, second), key=lambda stats: stats.count)
     if few.count < 2:
-        raise ValueError(f"frechet_between: {first.count} and {second.count} pictures, needs 2")
+        raise ValueError(
+            f"frechet_between: {first.count} and {second.count} images, expected at least 2 each"
+        )
     covariances = [stats.scatter / (stats.count - 1) for stats in (few, many)]
     packed, order, rank, _ = lapack.dpstrf(covariances[0], lower=1)
     factor, order = np.tril(packed), order - 1
@@ -154,7 +158,7 @@ def frechet_bootstrap(
     """
     names = sorted(first)
     if names != sorted(second):
-        raise ValueError(f"frechet_bootstrap: scenes {names} and {sorted(second)}")
+        raise ValueError(f"frechet_bootstrap: scenes differ: {names} and {sorted(second)}")
     times = (draws[:, :, None] == np.arange(len(names))).sum(axis=1)
     kinds, which = np.unique(times, axis=0, return_inverse=True)
     sets = [[one[name] for name in names] for one in (first, second)]

@@ -225,7 +225,7 @@ def load_inception(path: Path) -> Inception:
     head = state.get("fc.weight")
     classes = None if head is None else head.shape[0]
     if classes not in (_FID_CLASSES, _IMAGENET_CLASSES):
-        raise InputError(path, "fc.weight", "is of no known network", _MEND)
+        raise InputError(path, "fc.weight", "is not from a known network", _MEND)
     weights = {}
     for name, (before, after, height, width) in CONVOLUTIONS.items():
         kernel = checked_weight(

@@ -51,7 +51,9 @@ class ViewSettings:
         if self.moments < 1 or self.headings < 1:
             raise ValueError("ViewSettings.moments, headings: must be at least 1")
         if not self.distances or min(self.distances) <= 0:
-            raise ValueError(f"ViewSettings.distances: positive metres, got {self.distances}")
+            raise ValueError(
+                f"ViewSettings.distances: must be positive metres, got {self.distances}"
+            )
 
 
 @dataclass(frozen=True)
@@ -131,10 +133,12 @@ def _camera(log: DrivingLog, mounts: Mapping[str, CameraMount], wanted: str | No
     names = [name for name in mounts if name in log.cameras]
     if wanted is not None and wanted not in names:
         raise InputError(
-            log.name, f"camera {wanted}", "is not rendered", f"choose of {', '.join(names)}"
+            log.name, f"camera {wanted}", "is not rendered", f"choose one of {', '.join(names)}"
         )
     if not names:
-        raise InputError(log.name, "cameras", "there is none to compare", "render a camera")
+        raise InputError(
+            log.name, "cameras", "none of them is rendered", "render a camera of the log"
+        )
     return wanted or max(names, key=lambda name: float(mounts[name].rig_from_camera[0, 2]))
 
 
@@ -150,7 +154,7 @@ def _frames(
             log.name,
             f"camera {camera}",
             f"no frame has {ahead:.0f} m of recorded road ahead ({route.length:.0f} m in all)",
-            "ask for shorter distances or use a longer log",
+            "give shorter distances, or use a longer log",
         )
     count = min(count, len(usable))
     return [int(usable[int((i + 0.5) / count * len(usable))]) for i in range(count)]

@@ -86,7 +86,7 @@ def agreement(
     """
     left, top, right, bottom = rectangle
     if left >= right or top >= bottom:
-        raise ValueError(f"agreement: no pixel in the rectangle {rectangle}")
+        raise ValueError(f"agreement: the rectangle {rectangle} is empty")
     inside = (slice(top, bottom), slice(left, right))
     drawn, wanted = image.astype(np.float64) / 255, truth.astype(np.float64) / 255
     similarity = ssim_map(torch.from_numpy(drawn), torch.from_numpy(wanted)).numpy()
@@ -268,7 +268,7 @@ def read_oracle_views(folder: str | Path) -> OracleViews:
         InputError: `oracle_views.json` is missing, broken, or of another version.
     """
     path = Path(folder) / RECORD_FILE
-    record = read_record(path, _Record, VERSION, "make the comparison again", "recast-oracle-views")
+    record = read_record(path, _Record, VERSION, "run the comparison again", "recast-oracle-views")
     return OracleViews(
         record.track_id, record.logged, record.views, record.summary, record.showcase
     )

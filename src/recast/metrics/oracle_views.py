@@ -201,14 +201,17 @@ def evaluate_oracle_views(
     """
     if track_id not in log.tracks:
         raise InputError(
-            log.name, f"track {track_id}", "is not in the log", f"choose of {', '.join(log.tracks)}"
+            log.name,
+            f"track {track_id}",
+            "is not in the log",
+            f"choose one of {', '.join(log.tracks)}",
         )
     settings = ViewSettings() if settings is None else settings
     track = log.tracks[track_id]
     logged = logged_views(log, track)
     if len(logged) == 0:
         raise InputError(
-            log.name, f"track {track_id}", "is in no image of the log", "choose another track"
+            log.name, f"track {track_id}", "is not in any image of the log", "choose another track"
         )
     painter = Painter(
         {"baseline": baseline, "candidate": candidate},
@@ -227,8 +230,8 @@ def evaluate_oracle_views(
         raise InputError(
             log.name,
             f"track {track_id}",
-            "is in view at none of the places before the ego",
-            "ask for other distances",
+            "is not visible at any of the distances ahead of the ego",
+            "give other distances",
         )
     meter = None if shares is None else CoverageMeter(candidate, track_id, shares)
     with nullcontext() if out is None else atomic_folder(out) as folder:

@@ -273,5 +273,7 @@ def exact_bootstrap(scenes: Sequence[ArrayLike], level: float = 0.95) -> Bootstr
 def _sums_and_counts(scenes: Sequence[ArrayLike]) -> tuple[Array, Array]:
     arrays = [np.atleast_1d(np.asarray(scene, np.float64)) for scene in scenes]
     if not arrays or any(len(a) == 0 for a in arrays):
-        raise ValueError("bootstrap: needs a scene, and a pair in every scene")
+        raise ValueError(
+            "bootstrap: expected at least one scene, with at least one pair in every scene"
+        )
     return np.array([a.sum() for a in arrays]), np.array([float(len(a)) for a in arrays])

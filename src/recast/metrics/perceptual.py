@@ -153,7 +153,9 @@ class Lpips:
             ValueError: an image is smaller than the network can take.
         """
         if min(image.shape[:2]) < 32:
-            raise ValueError(f"Lpips: image of {image.shape[1]}x{image.shape[0]}, needs 32x32")
+            raise ValueError(
+                f"Lpips: image of {image.shape[1]}x{image.shape[0]}, expected 32x32 or larger"
+            )
         with torch.no_grad():
             first, second = (self._unit(_pixels(one)) for one in (image, reference))
             return float(self._distance(first, second))
@@ -240,7 +242,7 @@ def load_lpips(path: Path) -> Lpips:
     kernel = first.shape[-1] if first is not None and first.ndim == 4 else None
     backbone = {11: "alex", 3: "vgg"}.get(kernel or 0)
     if backbone is None:
-        raise InputError(path, "features.0.weight", "is of no known network", _MEND)
+        raise InputError(path, "features.0.weight", "is not from a known network", _MEND)
     weights = {}
     for layer in BACKBONES[backbone]:
         before, after = layer.channels
@@ -259,7 +261,7 @@ def _heads(backbone: str) -> list[Tensor]:
     for folder in folders:
         path = Path(folder) / "functional" / "image" / "lpips_models" / f"{backbone}.pth"
         if path.is_file():
-            state = read_tensors(path, "LPIPS heads", "install torchmetrics anew")
+            state = read_tensors(path, "LPIPS heads", "reinstall torchmetrics")
             taps = sum(layer.tapped for layer in BACKBONES[backbone])
             return [state[f"lin{index}.model.1.weight"].flatten() for index in range(taps)]
     raise InputError(

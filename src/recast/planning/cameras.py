@@ -74,8 +74,8 @@ def require_cameras(names: Iterable[str], there: Mapping[str, object], where: st
             raise InputError(
                 where,
                 f"camera {name}",
-                "is needed and not there",
-                f"there are {', '.join(there) or 'none'}; render it, or name other cameras",
+                "is needed but missing",
+                f"render it, or name other cameras; there are {', '.join(there) or 'none'}",
             )
 
 
@@ -159,7 +159,7 @@ class ShownView:
         if not self.virtual:
             return self.camera if self.camera == self.view else f"{self.view} by {self.camera}"
         place = f" at {self.source}" if self.source else ""
-        return f"{self.view} by a virtual camera{place} ({self.seen:.0%} seen by the log's)"
+        return f"{self.view} by a virtual camera{place} ({self.seen:.0%} seen by the log's cameras)"
 
 
 def shown_views(planner: Planner, mounts: Mapping[str, CameraMount]) -> tuple[ShownView, ...]:
@@ -184,8 +184,8 @@ def shown_views(planner: Planner, mounts: Mapping[str, CameraMount]) -> tuple[Sh
             raise InputError(
                 f"planner {planner.name}",
                 f"view {wanted}",
-                f"looks ahead, and the log's cameras see {seen:.0%} of it ({NEEDED:.0%} is needed)",
-                f"use a log with a camera that looks there; there are {directions(real)}",
+                f"looks ahead, but the log's cameras see {seen:.0%} of it ({NEEDED:.0%} is needed)",
+                f"use a log with a camera that looks ahead; there are {directions(real)}",
             )
         virtual = mount.seen is not None
         shown.append(

@@ -35,7 +35,7 @@ def planner_map(hdmap: HdMap) -> PlannerMap:
     """
     if not hdmap.lanes:
         raise InputError(
-            "map", "lanes", "there are none", "use a log with a lane map, or one that drives"
+            "map", "lanes", "are missing", "use a log with lanes, or a log in which the ego drives"
         )
     block = group_lanes(hdmap.lanes)
     lanes = {
@@ -141,7 +141,7 @@ def route_blocks(planner_map: PlannerMap, route: ReferenceRoute) -> tuple[str, .
             "route",
             "lanes",
             f"no lane of the map lies within {_DISTANCE:g} m of the path from ({x:.1f}, {y:.1f})",
-            "use a map that covers the drive, or let one be derived from the log",
+            "use a map that covers the drive, or leave the map out to derive one from the log",
         )
     return tuple(sorted(kept, key=lambda key: found[key].first))
 

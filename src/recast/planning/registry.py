@@ -84,7 +84,7 @@ def planner_device(name: str = "auto") -> str:
         return "cuda" if torch.cuda.is_available() else "cpu"
     count = torch.cuda.device_count() if torch.cuda.is_available() else 0
     if int(name.partition(":")[2] or 0) >= count:
-        raise InputError("planner device", name, f"is not there: torch sees {count} GPUs", mend)
+        raise InputError("planner device", name, f"does not exist: torch finds {count} GPUs", mend)
     return name
 
 
@@ -117,8 +117,8 @@ def _shipped(name: str, device: str) -> Planner:
         raise InputError(
             "planner",
             name,
-            f"its weights are not in this installation ({folder})",
-            "install a release that has them, or name the folder of another GTRS planner",
+            f"its weights are missing from this installation ({folder})",
+            "install a release with its weights, or name the folder of another GTRS planner",
         )
     from recast.planning.gtrs import load_gtrs  # here, as it needs torch and others do not
 

@@ -68,7 +68,7 @@ class ReferenceRoute:
                 "log",
                 "world_from_rig",
                 f"the ego moves less than {2 * _KNOT_SPACING:g} m, so there is no route to follow",
-                "use a part of the log in which it drives",
+                "use a part of the log in which the ego drives",
             )
         chord = np.concatenate(
             [[0.0], np.cumsum(np.linalg.norm(np.diff(xy[knots], axis=0), axis=1))]

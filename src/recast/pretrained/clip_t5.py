@@ -272,10 +272,10 @@ def _settings(folder: Path) -> dict[str, Any]:
     for name, value in settings.items():
         understood = name in _OTHER or name in _UNDERSTOOD or value in (None, False)
         if name.startswith("mm_") and not understood:
-            raise InputError(path, name, f"is {value!r}, which is not understood", _MEND)
+            raise InputError(path, name, f"is {value!r}, which is not supported", _MEND)
     layer = settings.get("mm_vision_select_layer", -2)
     if type(layer) is not int:
-        raise InputError(path, "mm_vision_select_layer", f"is {layer!r}, no whole number", _MEND)
+        raise InputError(path, "mm_vision_select_layer", f"is {layer!r}, not a whole number", _MEND)
     return settings
 
 

@@ -97,7 +97,7 @@ class PretrainedFolder:
             elif not isinstance(value, int | float) or value <= most:
                 continue
             elif any(name in path for name in names):
-                raise self._refusal(file, f"{path} is {value}, {most} {unit} is the most")
+                raise self._refusal(file, f"{path} is {value}, {most} {unit} at most")
 
     def read(self, device: str) -> tuple[Any, Any]:
         """Processor and network, in float32, ready to infer.

@@ -96,7 +96,7 @@ def fit_turntable(
         raise InputError(
             where,
             "views",
-            f"{len(inside)} of {len(alphas)} show the whole vehicle",
+            f"only {len(inside)} of {len(alphas)} show the whole vehicle",
             f"give at least {LEAST_VIEWS} views in which it does not touch the image's edge",
         )
     most = max(len(hull) for hull in hulls if hull is not None)
@@ -110,8 +110,8 @@ def fit_turntable(
         raise InputError(
             where,
             "outlines",
-            f"are not those of a turntable: they miss each other by {residual:.1f} pixels, "
-            f"where {MOST_RESIDUAL * widest:.1f} are allowed",
+            f"are not those of a turntable: they differ by {residual:.1f} pixels, at most "
+            f"{MOST_RESIDUAL * widest:.1f} are allowed",
             "give regular azimuths of one fixed camera, and masks without shadows",
         )
     low, high = ring.bounds(*solution, where)
@@ -224,7 +224,7 @@ def _check_alike(
             raise InputError(
                 name,
                 field,
-                f"is {value:.1f} where the median of the set is {median:.1f}",
+                f"is {value:.1f}, but the median of the set is {median:.1f}",
                 "make a set for each camera",
             )
 
@@ -247,7 +247,7 @@ def _shifted(identity: IdentitySource, view: int, centre: Array) -> Image:
             identity.where(view),
             "view",
             f"is cut by the shift of {x}, {y} pixels to the box centre",
-            "ingest the photographs with free pixels around the vehicle",
+            "ingest the photographs with a margin around the vehicle",
         )
     return moved
 

@@ -39,7 +39,7 @@ from recast.recar.views import (
 )
 
 _MEND = "write the set again; see docs/data.md#vehicle-sets"
-_MEND_OUT = "name another folder, or use the options of the set in it"
+_MEND_OUT = "choose another folder, or use the options of the set in it"
 
 
 @dataclass(frozen=True)
@@ -144,7 +144,7 @@ def _refuse_twice(first: Identity, second: Identity) -> None:
         "id",
         f"{second.record.id} is in {'both splits' if len(splits) == 2 else 'the set twice'}, "
         f"also as {first.folder.name}",
-        "keep one of them",
+        "keep one of the two folders",
     )
 
 
@@ -196,7 +196,10 @@ def check_begin(folder: Path, record: SetRecord, identities: Collection[str]) ->
         return frozenset()
     if not (folder / SET_FILE).is_file():
         raise InputError(
-            folder, "output folder", "exists and is not a vehicle set", "name a new or empty folder"
+            folder,
+            "output folder",
+            "exists and is not a vehicle set",
+            "choose a new or empty folder",
         )
     found = read_set_record(folder)
     if name := first_difference(_members(found), _members(record)):

@@ -147,7 +147,7 @@ def _sections(actor: Actor) -> list[list[_Line]]:
     if story.details:
         made.append(", ".join(f"{name} {value}" for name, value in story.details.items()))
     seen = [line for line in story.observation.splitlines() if not line.startswith("next:")]
-    refined = ["not refined: no image but the source view was followed"]
+    refined = ["not refined: only the source view was used"]
     if story.refinement is not None:
         refined = story.refinement.explain().splitlines()
     sections = [
@@ -201,8 +201,8 @@ def _legend(mean: Coverage) -> Image:
     for name, colour in palette.SHARES.items():
         label = f"{name} {getattr(mean, name):.0%}"
         x += _swatch(canvas, x, 26, label, colour, 21) + 40
-    note = "of the vehicle in these eight views; seen by the log, mirrored from the side that was"
-    note += " seen, or invented by the generator"
+    note = "of the vehicle in these eight views: seen in the log, mirrored from the seen side,"
+    note += " or invented by the generator"
     canvas.text((x, 26), note, palette.LOGGED, _TEXT, "lm")
     return canvas.image
 

@@ -75,7 +75,7 @@ def coverage_note(line: CoverageLine) -> str:
         return f"None of the {line.images} images that {who} shows the {line.arm}."
     mean = line.mean
     return (
-        f"Of what {who} of the {line.arm}, {mean.invented:.0%} was invented, "
+        f"Of the {line.arm} that {who}, {mean.invented:.0%} was invented, "
         f"{mean.mirrored:.0%} mirrored and {mean.seen:.0%} seen in the log "
         f"(visible in {line.visible} of {line.images} images)."
     )
@@ -110,7 +110,7 @@ def checks(run: ReportInputs) -> tuple[Check, ...]:
                 ssim = f"{score.ssim:.3f}"
                 found.append(Check(f"Held-out SSIM, {score.region}", ssim, "", "plain"))
     else:
-        found.append(Check("Held-out images", "not made", "", "warn"))
+        found.append(Check("Held-out images", "not evaluated", "", "warn"))
     registration = run.actor.registration if isinstance(run.actor, ActorPart) else None
     if isinstance(registration, RegistrationPart):
         good = registration.median_after <= registration.limit
@@ -123,7 +123,7 @@ def checks(run: ReportInputs) -> tuple[Check, ...]:
             )
         )
     else:
-        found.append(Check("Registration to the LiDAR", "not made", "", "warn"))
+        found.append(Check("Registration to the LiDAR", "not done", "", "warn"))
     if isinstance(run.truth, TruthPart):
         found.extend(_beyond_the_log(run.truth))
     if not isinstance(run.scenarios, NotMade):
@@ -135,7 +135,7 @@ def checks(run: ReportInputs) -> tuple[Check, ...]:
             Check(
                 "Map",
                 "derived from the drive" if derived else "surveyed",
-                "surveyed; a derived one makes DAC approximate",
+                "surveyed; with a derived map, DAC is approximate",
                 "warn" if derived else "good",
             )
         )
@@ -171,7 +171,7 @@ def _invented(lines: Sequence[CoverageLine]) -> tuple[Check, ...]:
     text = f"{min(shares):.0%}"
     if len(shares) > 1:
         text += f" to {max(shares):.0%} by rollout"
-    return (Check("Invented, of what was shown of the actor", text, "little; see Actor", "plain"),)
+    return (Check("Invented share of the visible actor", text, "little; see Actor", "plain"),)
 
 
 def _trust(scenarios: Sequence[ScenarioPart]) -> tuple[Check, ...]:
@@ -197,7 +197,7 @@ def _completeness(scenarios: Sequence[ScenarioPart]) -> Check:
     text = f"{whole} of {len(parts)} ran their full length"
     text += f", {failed} failed" if failed else ""
     tone: Tone = "good" if whole == len(parts) else "bad" if failed else "warn"
-    return Check("Rollouts", text, "all; a cut one has fewer chances to fail", tone)
+    return Check("Rollouts", text, "all; a rollout that was cut has fewer chances to fail", tone)
 
 
 @dataclass(frozen=True)

@@ -17,7 +17,7 @@ from recast.reporting.marks import MapLayer
 from recast.reporting.moment_strip import Strip, moment_strip
 from recast.reporting.moments import PATHS_APART, paths_part
 from recast.reporting.page import Assets, render_template, write_page
-from recast.reporting.summary import Outcome, listed, outcome
+from recast.reporting.summary import Outcome, outcome
 from recast.reporting.tables import Cell, Line, aggregate_line, difference_line, digits
 from recast.simulation.rollout import Rollout, RolloutFailure
 
@@ -77,7 +77,7 @@ def write_comparison(runs: Sequence[ComparedRun], out: str | Path) -> Path:
         ValueError: fewer than two runs.
     """
     if len(runs) < 2:
-        raise ValueError(f"runs: {len(runs)} given, at least two are compared")
+        raise ValueError(f"runs: {len(runs)} given, expected at least 2")
     return write_page(out, lambda assets: _render(runs, assets))
 
 
@@ -109,7 +109,7 @@ def _warnings(runs: Sequence[ComparedRun]) -> tuple[str, ...]:
         if run.log_hash != first.log_hash:
             found.append(
                 f"{letter(number)} is a run on another log than A ({run.log}, not {first.log}): "
-                "its differences are between different scenes."
+                "its differences compare different scenes."
             )
         elif run.target != first.target:
             found.append(f"{letter(number)} has the target {run.target}, A has {first.target}.")
@@ -121,7 +121,11 @@ def _warnings(runs: Sequence[ComparedRun]) -> tuple[str, ...]:
         ]
         for number, run in enumerate(runs[1:], 1)
     }
-    found += [f"{name} does not have {listed(keys)}." for name, keys in missing.items() if keys]
+    found += [
+        f"{name} does not have these scenarios: {'; '.join(keys)}."
+        for name, keys in missing.items()
+        if keys
+    ]
     return tuple(found)
 
 
@@ -257,7 +261,7 @@ def _part(run: ComparedRun, key: ScenarioKey, arm: str) -> RolloutPart | None:
 
 def _compared(part: RolloutPart | None, first: RolloutPart | None, number: int) -> ComparedOutcome:
     if part is None:
-        return ComparedOutcome(Outcome("not asked for", "plain"), None)
+        return ComparedOutcome(Outcome("not requested", "plain"), None)
     if number == 0 or first is None:
         return ComparedOutcome(outcome(part), None)
     return ComparedOutcome(outcome(part), _path(first.rollout, part.rollout))
@@ -267,11 +271,11 @@ def _path(first: object, other: object) -> str | None:
     if not isinstance(first, Rollout) or not isinstance(other, Rollout):
         return None
     if not same_scenario(first, other):
-        return "another scenario than A's: not compared"
+        return "not compared: the scenario differs from A's"
     step = paths_part(first, other)
     if step is None:
-        return f"path within {PATHS_APART:g} m of A's"
-    return f"path leaves A's at {step * other.dt:.1f} s"
+        return f"path within {PATHS_APART:g} m of A's path"
+    return f"path leaves A's path at {step * other.dt:.1f} s"
 
 
 def differing_settings(runs: Sequence[ComparedRun]) -> tuple[tuple[str, tuple[str, ...]], ...]:

@@ -21,9 +21,9 @@ from recast.simulation.rollout import Rollout, RolloutFailure
 Picture = Path | NDArray[np.uint8]
 """A PNG or JPEG file, or (H, W, 3) RGB or (H, W, 4) RGBA uint8."""
 PURPOSE = (
-    "The log shows this vehicle only from where the recording car happened to be. recast gives it "
-    "a whole body, so that the drive can be driven again with the vehicle doing what it never did, "
-    "and the cameras see what they would have seen."
+    "The log shows this vehicle only from the path of the recording car. recast completes the "
+    "vehicle, so the drive can be simulated again with a new motion of the vehicle and with the "
+    "camera images that this motion would have given."
 )
 
 
@@ -31,7 +31,7 @@ PURPOSE = (
 class NotMade:
     """Stands where a part is missing; the page shows `reason`."""
 
-    reason: str = "this run did not make it"
+    reason: str = "it is not part of this run"
 
 
 NOT_MADE = NotMade()

@@ -157,7 +157,7 @@ def _images(
         except InputError as error:
             reason = NotMade(f"{films[name].name} {error.problem}")
             found.update({(name, step): reason for step in steps})
-    missing = NotMade("no camera was filmed")
+    missing = NotMade("no camera was recorded on video")
     return [
         found.get((name or "", moment.step), missing)
         for moment, name in zip(moments, cameras, strict=True)

@@ -46,8 +46,8 @@ def find_moments(parts: Sequence[RolloutPart], arms: Mapping[str, str]) -> tuple
         return ()
     rollouts = {arm: p.rollout for arm, p in driven.items() if isinstance(p.rollout, Rollout)}
     found = [
-        *_earliest("the plans part", _plans_part(rollouts), arms),
-        *_earliest("the paths part", _paths_part(rollouts), arms),
+        *_earliest("the plans diverge", _plans_part(rollouts), arms),
+        *_earliest("the paths diverge", _paths_part(rollouts), arms),
         *_first("contact", {arm: _contact(part) for arm, part in driven.items()}, arms),
         *_first("off the road", {arm: _off(part) for arm, part in driven.items()}, arms),
         *_worst_plan(driven, arms),

@@ -205,7 +205,10 @@ def check_out(out: Path) -> None:
     """Refuse (InputError) a folder that is neither empty nor a report."""
     if out.exists() and not _is_report(out):
         raise InputError(
-            out, "report folder", "holds something that is not a report", "name another folder"
+            out,
+            "report folder",
+            "contains files that are not part of a report",
+            "choose another folder",
         )
 
 

@@ -134,7 +134,7 @@ def coverage_plot(arm: str, coverage: RolloutCoverage, dt: float, end: float) ->
         figure.bars(steps * dt, width, below, above, palette.css(colour))
         below = above
     told = ", ".join(f"{key} {getattr(coverage.mean, key):.0%}" for key in palette.SHARES)
-    return figure.plot(f"What was shown of the {arm}", f"over all images: {told}")
+    return figure.plot(f"Visible part of the {arm}", f"over all images: {told}")
 
 
 _Drawn = tuple[Figure, str, str]
@@ -143,7 +143,7 @@ _Drawn = tuple[Figure, str, str]
 
 def _ttc(arms: Sequence[Curves], longest: Series) -> _Drawn:
     figure = Figure(float(longest.time[-1]), 0.0, CAP + 0.5, "time to collision [s]")
-    figure.level(CAP, f"{CAP:g} s: the plan meets nothing")
+    figure.level(CAP, f"{CAP:g} s: the plan hits nothing")
     told = []
     for arm, width in _with_widths(arms):
         if arm.ttc is None or len(arm.ttc) == 0:

@@ -68,7 +68,7 @@ def rollout_events(part: RolloutPart, curves: Series) -> tuple[Event, ...]:
             events.append(Event(float(curves.plan_time[bad[0]]), text, "warn"))
     if rollout.cut_reason is not None:
         asked = rollout.steps_requested * rollout.dt
-        text = f"cut short of {asked:.1f} s: {rollout.cut_reason}"
+        text = f"cut before {asked:.1f} s: {rollout.cut_reason}"
         events.append(Event(float(curves.time[-1]), text, "warn"))
     return tuple(sorted(events, key=lambda event: event.time))
 
@@ -108,11 +108,11 @@ def headline(run: ReportInputs) -> tuple[str, ...]:
     rollouts = [part.rollout for part in parts if isinstance(part.rollout, Rollout)]
     planners = sorted({r.planner for r in rollouts})
     motions = "; ".join(scenario.title for scenario in run.scenarios)
-    first = f"On the log {run.log}, {actor} was made to do what it did not do there: {motions}. "
+    first = f"In the log {run.log}, {actor} was given a new motion: {motions}. "
     driven = names or list(run.arms.values())
     first += f"Each was driven with {listed(driven)}" if driven[1:] else f"Driven with {driven[0]}"
     if run.truth_arm is not None and names:
-        first += f", and with the {run.arms[run.truth_arm]}, which tells what is right"
+        first += f", and with the {run.arms[run.truth_arm]}, which is the ground truth"
     first += f"; planner: {listed(planners)}." if planners else "."
     lines = [first]
     outcomes = [f"{title}: {_contacts(run.scenarios, arm)}" for arm, title in run.arms.items()]
@@ -121,7 +121,7 @@ def headline(run: ReportInputs) -> tuple[str, ...]:
         lines.extend(same_endings(run, run.scenarios, run.truth_arm))
     failed = [part for part in parts if not isinstance(part.rollout, Rollout)]
     if failed:
-        lines.append(f"{len(failed)} of {len(parts)} rollouts did not come about; see below.")
+        lines.append(f"{len(failed)} of {len(parts)} rollouts could not be run; see below.")
     return tuple(lines)
 
 
@@ -182,8 +182,8 @@ def driving_note(scenario: ScenarioPart, arms: Mapping[str, str]) -> str | None:
             groups.append([part])
     if len(groups) == 1 and len(groups[0]) > 1:
         return (
-            "The ego drove exactly alike with all arms: to this planner, or in this scenario, "
-            "the pictures made no difference."
+            "The ego drove exactly alike with all arms: the images made no difference to this "
+            "planner, or in this scenario."
         )
     alike = [listed([arms[part.arm] for part in group]) for group in groups if group[1:]]
     return f"The ego drove exactly alike with {'; and with '.join(alike)}." if alike else None
@@ -205,7 +205,7 @@ def truth_gaps(run: ReportInputs, scenario: ScenarioPart) -> str | None:
         told.append(f"{title} {away.mean():.2f} m on average, {away.max():.2f} m at most")
     if not told:
         return None
-    return f"Gap to the truth, distance of the ego from where it led: {'; '.join(told)}."
+    return f"Distance of the ego from its path with the truth: {'; '.join(told)}."
 
 
 def same_endings(
@@ -225,7 +225,11 @@ def same_endings(
         if arm != truth and pairs:
             same = sum(a.collision.nc.value == b.collision.nc.value for a, b in pairs)
             told.append(f"{title}: {same} of {len(pairs)}")
-    return (f"Ended as with the truth, in contact or without: {'; '.join(told)}.",) if told else ()
+    return (
+        (f"Rollouts that ended as with the truth (contact or no contact): {'; '.join(told)}.",)
+        if told
+        else ()
+    )
 
 
 def _scored(scenario: ScenarioPart) -> dict[str, RolloutMetrics]:

@@ -16,24 +16,24 @@ DEFINITIONS: Mapping[str, str] = {
     "nc": "No collision: the ego's box never overlaps the actor's logged box, seen from above. "
     "Who is at fault does not matter.",
     "dac": "Drivable-area compliance: all four corners of the ego's box stay on the map's drivable "
-    "area, give or take 0.3 m, in every state.",
-    "ttc": "Time to collision: how soon a plan, if followed, meets the actor as it really moves "
-    "on; the worst of all plans, capped at 4 s.",
-    "r_c": "Route completion: distance driven before the first contact over the length of the "
-    "logged route that was left at the start.",
+    "area, with a tolerance of 0.3 m, in every state.",
+    "ttc": "Time to collision: time until a plan, if followed, hits the actor on the actor's real "
+    "path; the shortest time of all plans, capped at 4 s.",
+    "r_c": "Route completion: distance driven before the first contact, divided by the length of "
+    "the logged route ahead of the start.",
     "com": "Comfort of the plans: share of plans whose acceleration (-4.05 to 2.40 m/s²), jerk "
     "(8.37 m/s³), yaw rate (0.95 rad/s), yaw acceleration (1.93 rad/s²) and lateral acceleration "
     "(4.89 m/s²) stay within limits.",
-    "com_driven": "Comfort of what was driven: nuPlan's six checks hold throughout the smoothed "
+    "com_driven": "Comfort of the driven path: nuPlan's six checks hold throughout the smoothed "
     "motion of the ego. A plan may begin with a jump that the controller never drives.",
-    "ttc_constant_velocity": "TTC against the actor moving on at constant velocity.",
+    "ttc_constant_velocity": "TTC if the actor goes on at constant velocity.",
     "r_c_projection": "Route completion by the ego's projection onto the route.",
     "com_4_13": "Comfort with nuPlan's limit on jerk, 4.13 m/s³.",
     "com_nuplan_savgol": "Comfort with nuPlan's six checks on smoothed signals.",
 }
 """By key of `recast.metrics.COLUMNS`; higher is better for all."""
 _SHORT_TTC = 1.0  # seconds: below, a driver hardly reacts
-MOVING = "what moves: boxes, length and width x 1.5"
+MOVING = "moving objects: boxes, length and width x 1.5"
 
 
 @dataclass(frozen=True)
@@ -198,7 +198,7 @@ def difference_line(
     sub = f"mean over {len(compared)} of {_counted(pairs.asked, 'pair')}"
     sub += f", {_counted(sum(pair.plans for pair in compared), 'plan')} each"
     cut = sum(pair.cut for pair in compared)
-    sub += f", {cut} up to where one was cut" if cut else ""
+    sub += f", {cut} compared only up to a cut" if cut else ""
     return Line(f"{arms[candidate]} minus {arms[baseline]}", None, tuple(cells), sub)
 
 

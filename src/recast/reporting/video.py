@@ -79,7 +79,9 @@ class VideoWriter:
                 frame.shape[1] + frame.shape[1] % 2, frame.shape[0] + frame.shape[0] % 2
             )
         elif frame.shape != self._shape:
-            raise ValueError(f"frame: shape {frame.shape}, the first one had {self._shape}")
+            raise ValueError(
+                f"frame: shape {frame.shape}, expected {self._shape} as in the first frame"
+            )
         picture = self._reformatter.reformat(
             av.VideoFrame.from_ndarray(_even(frame), format="rgb24"),
             format="yuv420p",
@@ -116,7 +118,7 @@ class VideoWriter:
         try:
             if fault[0] is None:
                 if self._frames == 0:
-                    raise ValueError(f"{self.path}: a film needs at least one frame")
+                    raise ValueError(f"{self.path}: a video needs at least one frame")
                 self._container.mux(self._stream.encode(None))
         except BaseException:
             self._stack.__exit__(*sys.exc_info())
@@ -153,7 +155,7 @@ def _decoded(path: str | Path) -> Iterator[Iterator[av.VideoFrame]]:
             yield container.decode(video=0)
     except (av.error.FFmpegError, IndexError) as error:
         raise InputError(
-            path, "film", f"cannot be decoded ({error})", "write the film anew"
+            path, "video", f"cannot be decoded ({error})", "write the video again"
         ) from error
 
 
@@ -180,7 +182,7 @@ def film_frames(path: str | Path, steps: Iterable[int]) -> dict[int, Image]:
             if wanted and number >= wanted[-1]:
                 break
         if last is None:
-            raise InputError(path, "film", "has no frame", "write the film anew")
+            raise InputError(path, "video", "has no frame", "write the video again")
         end = _rgb(last, reformatter)
     return {step: found.get(step, end) for step in wanted}
 
@@ -204,7 +206,7 @@ def video_fps(path: str | Path) -> float:
     with av.open(str(path)) as container:
         rate = container.streams.video[0].average_rate
     if rate is None:
-        raise InputError(path, "frame rate", "is not given", "write the film anew")
+        raise InputError(path, "frame rate", "is not given", "write the video again")
     return float(rate)
 
 
@@ -261,8 +263,8 @@ def _common_fps(films: Sequence[str | Path]) -> float:
             raise InputError(
                 film,
                 "frame rate",
-                f"is {rate:g}, that of the first film {first:g}",
-                "render both alike",
+                f"is {rate:g}, but that of the first video is {first:g}",
+                "render both with the same frame rate",
             )
     return first
 

@@ -215,7 +215,7 @@ def show_actor(folder: Path, out: Path | None = None) -> Path:
     if out.suffix.lower() != ".png":
         raise InputError(out, "`out`", "is not a PNG", "end its name in .png")
     if out.exists():
-        raise InputError(out, "`out`", "exists already", "name another one or remove it")
+        raise InputError(out, "`out`", "exists already", "name another file or remove this one")
     sheet = Image.fromarray(draw_actor_sheet(load_actor(folder)))
     with files.atomic_file(out) as partial:
         sheet.save(partial, format="PNG")

@@ -89,7 +89,11 @@ def _require_generator(word: str, generator: str) -> None:
     arms = [*(arm.name for arm in (*default_arms(), Arm.oracle())), *names, *PRESETS]
     arms += [PAPER, DECOMPOSITION, NOISE_FLOOR]
     near = nearest(generator, arms)
-    hint = f"did you mean {near}?" if near else f"give {', '.join(arms)}, or a file of arms"
+    hint = (
+        f"did you mean {near}?"
+        if near
+        else f"choose one of {', '.join(arms)}, or give a file of arms"
+    )
     raise InputError("`arm`", word, "is not known", hint)
 
 
@@ -98,8 +102,8 @@ def _disturbed(arm: Arm, noise: str = _ALL_NOISE) -> Sequence[Arm]:
     chosen = [one for one in arm.noises if noise in (one, _ALL_NOISE)]
     if not chosen:
         named = ", ".join(f"{arm.name}:{one}" for one in (*arm.noises, _ALL_NOISE))
-        problem = f"is disturbed by {noise!r}"
-        raise InputError("`arm`", f"{arm.name}:{noise}", problem, f"choose of {named}")
+        problem = f"cannot be disturbed by {noise!r}"
+        raise InputError("`arm`", f"{arm.name}:{noise}", problem, f"choose one of {named}")
     return [arm.disturbed(one) for one in chosen]
 
 
@@ -114,8 +118,8 @@ def _combined(word: str, street: str, vehicle: str) -> Arm:
     if vehicle != "native":
         return Arm.replaced(None if vehicle == "replaced" else vehicle, street)
     if street == TRUTH:
-        problem = "puts a reconstruction into the truth, which has none"
-        raise InputError("`arm`", word, problem, "name a generator, replaced or none")
+        problem = "the true street has no reconstruction of the vehicle"
+        raise InputError("`arm`", word, problem, "give a generator, replaced or none after the +")
     return Arm.native(street)
 
 

@@ -54,7 +54,7 @@ class Arm(Record):
         default=None, description="whether the vehicle is refined; null: the run's choice"
     )
     relit: bool | None = Field(
-        default=None, description="whether the vehicle is lit where it stands; null: it is"
+        default=None, description="whether the vehicle is lit as in the street; null: true"
     )
     segmenter: str | None = Field(
         default=None, description="segmenter of the target; null: the run's"
@@ -69,7 +69,7 @@ class Arm(Record):
         default=None,
         description=(
             "disturbance: a grey level up or down, a pixel to the right, a start 5 cm to the left, "
-            "or camera noise of another seed, which the truth alone has"
+            "or camera noise of another seed (only for the truth)"
         ),
     )
 
@@ -103,10 +103,14 @@ class Arm(Record):
         if self.street == TRUTH and self.vehicle == "own":
             raise ValueError("the true street has no reconstruction of the vehicle")
         if self.noise == "seed" and not self.is_truth:
-            raise ValueError("only the truth has camera noise, so only it has the noise seed")
+            raise ValueError(
+                "only the truth has camera noise, so no other arm can have the noise seed"
+            )
         given = (self.generator, self.axes, self.refine, self.relit, self.segmenter, self.views)
         if self.vehicle != "generated" and any(value is not None for value in given):
-            raise ValueError("only a generated vehicle has generator, axes, refine and the like")
+            raise ValueError(
+                "only a generated vehicle can have generator, axes, refine, relit, segmenter, views"
+            )
         return self
 
     def disturbed(self, noise: Noise) -> Self:
@@ -190,7 +194,9 @@ class Arm(Record):
         names = [f"{scene}{suffix}" for suffix in VEHICLE_SUFFIXES]
         found = next((folder / name for name in names if (folder / name).is_file()), None)
         if found is None:
-            raise InputError(folder, f"scene {scene}", "has no file", f"add {' or '.join(names)}")
+            raise InputError(
+                folder, f"scene {scene}", "has no vehicle file", f"add {' or '.join(names)}"
+            )
         return self.model_copy(update={"generator": str(found)})
 
 

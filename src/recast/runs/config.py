@@ -50,7 +50,7 @@ class RunConfig(Record):
     arms: tuple[Arm, ...] = Field(
         default_factory=default_arms,
         min_length=1,
-        description="what is compared; the first is the baseline",
+        description="arms to compare; the first is the baseline",
     )
     planners: tuple[str, ...] = Field(
         default=("idm-follower",),
@@ -113,13 +113,15 @@ class RunConfig(Record):
     seed: int = Field(default=0, description="seed of everything random")
     threads: int = Field(default=0, ge=0, le=1024, description="number of CPU threads; 0: all")
     preset: Preset | None = Field(
-        default=None, description="method of the scene; it sets what `scene` does not name"
+        default=None,
+        description="method of the scene; it sets all settings that `scene` leaves out",
     )
     scene: SceneConfig = Field(
         default=SceneConfig(), description="settings of the run's own street"
     )
     scene_folder: str | None = Field(
-        default=None, description="folder of a trained or imported scene; no scene is trained"
+        default=None,
+        description="folder of a trained or imported scene, used in place of training one",
     )
     streets: dict[str, SceneConfig] = Field(
         default={}, description="settings of the presets that arms name"
@@ -131,7 +133,7 @@ class RunConfig(Record):
         for name, record in value.items():
             described = scenario_name(motion_of_record(record))
             if name != described:  # names become folders; those of scenario files are plain words
-                raise ValueError(f"{name!r} describes the scenario {described!r}")
+                raise ValueError(f"the key {name!r} holds the scenario {described!r}")
         return value
 
     @field_validator("motions", "planners", "arms")
@@ -247,8 +249,8 @@ def _scenes(
             raise InputError(
                 "`scene`",
                 str(folder),
-                f"is given beside the preset {presets[0]}",
-                f"name it as an arm instead: `arm` {folder}",
+                f"is given together with the preset {presets[0]}",
+                f"give the folder as an arm instead: `arm` {folder}",
                 "docs/runs.md#arms",
             )
         return {"scene": scene, "streets": {}}
@@ -290,7 +292,7 @@ def _of_folder(folder: str, options: Mapping[str, Any]) -> SceneConfig:
     """
     if not is_street(folder) or not Path(folder).is_dir():
         raise InputError(
-            folder, "`scene`", "holds no scene", "name the folder of one", "docs/runs.md#arms"
+            folder, "`scene`", "is not a scene folder", "name a scene folder", "docs/runs.md#arms"
         )
     if (Path(folder) / IMPORT_FILE).is_file():
         return scene_config(None, SceneConfig(), options)
@@ -300,7 +302,7 @@ def _of_folder(folder: str, options: Mapping[str, Any]) -> SceneConfig:
             raise InputError(
                 folder,
                 name,
-                f"is {getattr(found, name)} of this trained scene, not {value}",
+                f"is {getattr(found, name)} in this trained scene, not {value}",
                 f"leave `{name}` out, or train another scene",
                 "docs/scenes.md#configuration",
             )
@@ -321,7 +323,7 @@ def _motions(names: Sequence[str], known: Mapping[str, dict[str, Any]]) -> dict[
                 raise InputError(
                     name,
                     "name",
-                    f"{scenario} is another scenario already",
+                    f"another scenario is already called {scenario}",
                     "choose another name",
                     "docs/scenarios.md#your-own-as-a-file",
                 )

@@ -160,12 +160,12 @@ def _decided(settings: Sequence[str], artefacts: Artefacts, console: Console) ->
             continue
         if flipping is None:
             return setting
-        text = f"{setting}: the truth ends otherwise under the noise {flipping!r}"
+        text = f"{setting}: the noise {flipping!r} changes the verdict of the truth"
         console.print(text, markup=False, style="yellow")
     possible = [setting for setting in settings if setting not in refusals]
     if not possible:
         raise next(iter(refusals.values()))
-    console.print(f"{possible[0]} is driven all the same", markup=False, style="yellow")
+    console.print(f"{possible[0]} is used anyway", markup=False, style="yellow")
     return possible[0]
 
 
@@ -189,5 +189,5 @@ def _flipping(setting: str, artefacts: Artefacts) -> str | None:
 def _scored(artefacts: Artefacts, motion: str, planner: str, arm: Arm) -> RolloutMetrics:
     rollout = read_rollout(artefacts.rollout(motion, planner, arm).path)
     if isinstance(rollout, RolloutFailure):
-        raise InputError("planner", planner, f"fails in {motion}: {rollout.reason}", "mend it")
+        raise InputError("planner", planner, f"fails in {motion}: {rollout.reason}", "correct it")
     return rollout_metrics(rollout, artefacts.source.map)

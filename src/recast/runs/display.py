@@ -54,7 +54,7 @@ def print_actor(actor: Actor, console: Console) -> None:
     for one in provenance.candidates:
         if one.chosen and one.score is not None and not one.score.fits:
             console.print(
-                "warning: no candidate has the shape that masks and LiDAR show; the best of them "
+                "warning: no candidate matches the shape in masks and LiDAR; the best candidate "
                 f"is used ({one.generator}, {one.label})",
                 markup=False,
                 style="yellow",
@@ -136,7 +136,7 @@ def _mean(row: Mapping[str, Any], name: str) -> str:
 def truth_table(views: OracleViews) -> Table:
     """Table of the vehicle's scores against the truth, by angle from the nearest logged view."""
     table = Table(
-        title="actor's box against the truth, street's own → generated",
+        title="actor's box against the truth: street's own actor → generated actor",
         title_justify="left",
         box=SIMPLE_HEAD,
     )

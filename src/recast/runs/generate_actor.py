@@ -56,19 +56,22 @@ class GenerationRequest:
 
     def __post_init__(self) -> None:
         if not self.crops:
-            raise InputError("CROP", "pictures", "none given", "name at least one RGBA picture")
+            raise InputError("CROP", "images", "none are given", "name at least one RGBA image")
         if self.views and len(self.crops) > 1:
             raise InputError(
                 "`views`",
-                f"{len(self.views)} pictures",
-                f"with {len(self.crops)} crops",
-                "views are of one vehicle: generate it in a call of its own",
+                f"{len(self.views)} images",
+                f"are given with {len(self.crops)} crops, but show one vehicle only",
+                "give one crop, and generate the other vehicles in further calls",
             )
         names = [crop.stem for crop in self.crops]
         for name in names:
             if names.count(name) > 1:
                 raise InputError(
-                    "CROP", name, "is the name of two pictures", "rename one: folders carry it"
+                    "CROP",
+                    name,
+                    "is the name of two images",
+                    "rename one: it names the output folder",
                 )
 
     def samplers(self, model: ImageTo3D) -> tuple[SamplerSettings, SamplerSettings]:
@@ -97,7 +100,9 @@ def load_model(
             torch.empty(0, device=device)
     except (RuntimeError, AssertionError) as error:
         reason = str(error).splitlines()[0]
-        raise InputError("`device`", device or "", reason, "name one that is there") from None
+        raise InputError(
+            "`device`", device or "", reason, "name a device of this machine"
+        ) from None
     dtype: torch.dtype | None = None if precision is None else getattr(torch, precision)
     return ImageTo3D.load(folder, device=device, torso_dtype=dtype, image_encoder=image_encoder)
 

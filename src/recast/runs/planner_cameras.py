@@ -49,7 +49,7 @@ def require_distinct_planners(planners: Mapping[str, Planner]) -> None:
             raise InputError(
                 "`planner`",
                 word,
-                f"has the name of {other}: {planner.name}",
+                f"has the same name as {other}: {planner.name}",
                 "give the planners different names",
             )
 

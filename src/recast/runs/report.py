@@ -78,8 +78,8 @@ def open_run(run: str | Path) -> GatheredRun:
         raise InputError(
             folder.path / RUN_FILE,
             "log.path",
-            f"names {log_path}, which is not there",
-            "put the log back, or move the run to where it was",
+            f"names {log_path}, which does not exist",
+            "put the log back, or move the run folder back",
         )
     log = read_log(log_path)
     _check_log(folder.config, log, folder.path / RUN_FILE)
@@ -125,7 +125,7 @@ def _check_log(config: RunConfig, log: DrivingLog, record: Path) -> None:
                     record,
                     "log.path",
                     f"names a log without {kind} {name}",
-                    "put the log back that was run on",
+                    "put back the log that the run used",
                 )
 
 
@@ -273,7 +273,7 @@ def compare_runs(runs: Sequence[str | Path], out: str | Path) -> Path:
     folders = [Path(run) for run in runs]
     if len(folders) < 2:
         raise InputError(
-            "`compare`", "runs", f"{len(folders)} given", "name two run folders or more"
+            "`compare`", "runs", f"only {len(folders)} given", "name two or more run folders"
         )
     places = [folder.resolve() for folder in folders]
     for folder, place in zip(folders, places, strict=True):

@@ -39,7 +39,9 @@ def facts(config: RunConfig, log: DrivingLog) -> tuple[Fact, ...]:
     }
     restored: tuple[Fact, ...] = ()
     if config.restorer is not None:
-        restored = (Fact("Restorer", config.restorer, "of all images but those of the truth"),)
+        restored = (
+            Fact("Restorer", config.restorer, "used on all images except images of the truth"),
+        )
     return (
         Fact("Planner" if len(config.planners) == 1 else "Planners", ", ".join(config.planners)),
         Fact("Generator", ", ".join(_parts(config, "generator"))),
@@ -47,7 +49,7 @@ def facts(config: RunConfig, log: DrivingLog) -> tuple[Fact, ...]:
         Fact("Cameras", ", ".join(cameras)),
         Fact("Image size", ", ".join(sorted(sizes)), "pixels, as rendered"),
         *restored,
-        Fact("Length asked for", f"{config.steps * 0.1:g} s", "cut where log or road end"),
+        Fact("Requested length", f"{config.steps * 0.1:g} s", "less if the log or the road ends"),
     )
 
 
@@ -96,9 +98,9 @@ def actor_part(actor: Actor, frame: Path, film: Path | None, log: DrivingLog) ->
                 Fact(
                     "Mask",
                     "; ".join(provenance.mask.explain().splitlines()),
-                    "by the logged box and the LiDAR",
+                    "compared with the logged box and the LiDAR",
                 ),
-                *(Fact("Look at the mask", text) for text in provenance.mask.warnings()),
+                *(Fact("Check the mask", text) for text in provenance.mask.warnings()),
             ),
         ),
         turntable=NOT_MADE if film is None else film,
@@ -116,12 +118,12 @@ def actor_part(actor: Actor, frame: Path, film: Path | None, log: DrivingLog) ->
                 Fact(
                     "Front",
                     ", ".join(f"{k} {v:+.1f}" for k, v in report.front.votes.items()),
-                    "evidence for the way the vehicle faces; negative speaks against it",
+                    "evidence for the heading of the vehicle; negative values: evidence against it",
                 ),
                 Fact(
                     f"Within {INLIER_DISTANCE:g} m",
                     f"{report.after.inlier_share:.0%}",
-                    "share of LiDAR points this near to the actor",
+                    "share of LiDAR points within this distance of the actor",
                 ),
             ),
         ),
@@ -140,7 +142,7 @@ def _source(actor: Actor) -> str:
     views, refinement = 1 + len(actor.provenance.further), actor.provenance.refinement
     words = "from one view in the log" if views == 1 else f"from {views} views in the log"
     if refinement is not None and refinement.kept:
-        words += f", then refined by {refinement.images} images of it"
+        words += f", then refined with {refinement.images} images of it"
     return words
 
 

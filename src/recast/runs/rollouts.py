@@ -166,7 +166,7 @@ def draw_films(rollout: Rollout, folder: Path) -> dict[str, Path]:
     """
     origin = rollout.origin
     if origin is None:
-        raise ValueError("draw_films: the rollout was read from disk")
+        raise ValueError("draw_films: expected a rollout of this process, got one read from disk")
     if origin.renderer is None:
         return {}
     found = {}

@@ -106,7 +106,7 @@ class RunFolder:
             folder._write()
             return folder
         existing = cls.open(path).record
-        mend = "name another `out`, or repeat the options of the run that lies there"
+        mend = "name another `out`, or give the options of the run in this folder"
         if existing.log.hash != log_hash:
             raise InputError(
                 path / RUN_FILE,
@@ -180,7 +180,7 @@ class RunFolder:
         try:
             store.refer(self.path, tuple(dict.fromkeys(names.values())))
         except InputError as error:  # all that the run needs may lie in a store to read only
-            _LOG.warning("the store does not know of this run: %s", error)
+            _LOG.warning("the store could not record this run: %s", error)
         for use, artefact in used.items():
             self._link(use, artefact)
         if names != self.record.artefacts:
@@ -227,7 +227,10 @@ class RunFolder:
                 if _is_copy(link, artefact):  # the run was copied without its links
                     return
                 raise InputError(
-                    link, "link", "is a file or folder of something else", "move it elsewhere"
+                    link,
+                    "link",
+                    "is a file or folder that does not belong to this run",
+                    "move it elsewhere",
                 )
             link.parent.mkdir(parents=True, exist_ok=True)
             with suppress(FileNotFoundError):

@@ -104,10 +104,8 @@ def evaluate_and_print(
     if evaluation.shift_truth:
         console.print(shift_table(evaluation))
     elif evaluation.shifts:
-        console.print(
-            "shifted views: nobody knows what they truly show, so they are pictures without figures"
-        )
-    console.print(f"pictures: {out}", markup=False)
+        console.print("shifted views: there is no ground truth, so they are images without scores")
+    console.print(f"images: {out}", markup=False)
     return evaluation
 
 
@@ -120,7 +118,7 @@ def evaluation_table(evaluation: SceneEvaluation) -> Table:
     if evaluation.moving is not None:
         seen = sum(frame.moving is not None for frame in evaluation.frames)
         cells = _cells(evaluation.moving, with_lpips)
-        table.add_row("what moves: boxes, l and w x1.5", str(seen), *cells)
+        table.add_row("moving objects: boxes, l and w x1.5", str(seen), *cells)
     for track, value in evaluation.box_psnr_by_track().items():
         seen = sum(track in frame.boxes for frame in evaluation.frames)
         table.add_row(f"box of track {escape(printable(track))}", str(seen), f"{value:.2f}")
@@ -140,7 +138,7 @@ def evaluation_table(evaluation: SceneEvaluation) -> Table:
 def shift_table(evaluation: SceneEvaluation) -> Table:
     """Views beside the drive against the truth, a line for each shift of the ego."""
     with_lpips = evaluation.lpips is not None
-    table = _table("beside the drive, against the truth", "ego", with_lpips)
+    table = _table("views beside the drive, against the truth", "ego", with_lpips)
     table.add_column("PSNR* dB")
     table.add_column("SSIM*")
     for scores in evaluation.shifts:
@@ -149,7 +147,7 @@ def shift_table(evaluation: SceneEvaluation) -> Table:
         moving = ("", "") if scores.moving is None else _cells(scores.moving, False)
         cells = _cells(scores.whole, with_lpips)
         table.add_row(scores.shift.name, str(len(scores.frames)), *cells, *moving)
-    table.caption, table.caption_justify = "* of what moves: boxes, l and w x1.5", "left"
+    table.caption, table.caption_justify = "* of moving objects: boxes, l and w x1.5", "left"
     return table
 
 

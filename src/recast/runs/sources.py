@@ -121,7 +121,7 @@ def drive_log(
     names = cameras or CAMERAS
     if path.exists():
         _check_same(read_log(path), world, image_size, names, path)
-        console.print("  finished before")
+        console.print("  exists already")
         return path
     width, height = image_size
     with ProgressBar("images", console, round(world.seconds * 10 / every) * len(names)) as progress:
@@ -146,7 +146,7 @@ def _check_same(
     same = {name: log.metadata.get(name) for name in wanted} == wanted
     if not same or shape != dict.fromkeys(names, image_size):
         raise InputError(
-            path, "log", "is that of another drive", "name another `out`, or remove this one"
+            path, "log", "is of another drive", "name another `out`, or remove this folder"
         )
 
 

@@ -80,7 +80,7 @@ def kind_of_folder(path: Path) -> str:
             return kind
     if (path / _STATES).is_dir() or is_failure(path):
         return "rollout"
-    raise InputError(path, "WHAT", "is nothing that can be shown", _MEND)
+    raise InputError(path, "WHAT", "is not a folder that can be shown", _MEND)
 
 
 def run_of(rollout: Path) -> Path | None:
@@ -93,7 +93,7 @@ def run_of(rollout: Path) -> Path | None:
 def _parts(kinds: dict[str, list[Path]]) -> ViewInputs:
     """A log, scenes, actors and rollouts that belong to no run folder."""
     if len(kinds.get("log", [])) > 1:
-        raise InputError(kinds["log"][1], "WHAT", "is a second log", "show one log")
+        raise InputError(kinds["log"][1], "WHAT", "is a second log", "name one log only")
     log = read_log(kinds["log"][0]) if "log" in kinds else None
     hdmap = None if log is None else _map(log)
     scenes: dict[str, StreetScene | None] = {}
@@ -115,7 +115,7 @@ def _parts(kinds: dict[str, list[Path]]) -> ViewInputs:
                 kinds["rollout"][0],
                 "WHAT",
                 "is a rollout outside of a run folder",
-                "name its log and its scene as well",
+                "name its log folder and its scene folder, too",
             )
         scenarios = _rollouts(kinds["rollout"], log, hdmap, scenes) | scenarios
     runner = None
@@ -153,7 +153,7 @@ def _rollouts(
     for path in paths:
         rollout = read_rollout(path)
         if isinstance(rollout, RolloutFailure):
-            raise InputError(path, "rollout", f"failed: {rollout.reason}", "name another one")
+            raise InputError(path, "rollout", f"failed: {rollout.reason}", "name another rollout")
         scenes.setdefault(rollout.arm, first)
         arms = drives.setdefault(f"{rollout.motion}-{rollout.setting}, {rollout.planner}", {})
         arms[rollout.arm] = drive_of(rollout, path, log, hdmap)

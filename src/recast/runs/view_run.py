@@ -102,8 +102,8 @@ class _Opened:
             raise InputError(
                 self.path,
                 "rollouts",
-                "none of them was made",
-                "finish the run first: repeat its recast run",
+                "none is finished",
+                "finish the run: give its `recast run` command again",
             )
         actors = {name: self._actors(arm) for name, arm in arms.items() if arm.generates}
         scenes = _Scenes(
@@ -272,7 +272,7 @@ def _run(
         raise InputError(
             f"arm {setup.arm}",
             f"planner {word}",
-            "looks at images, and there is no street here",
+            "needs images, but this arm has no scene to render",
             "choose another arm or planner",
         )
     total = 2 * config.steps if renderer is not None else config.steps

@@ -132,7 +132,7 @@ def _broken(path: Path) -> Iterator[None]:
     except InputError:
         raise
     except (LookupError, TypeError, ValueError, AttributeError, RuntimeError) as error:
-        problem = f"is none of this recast ({type(error).__name__}: {error})"
+        problem = f"is not a checkpoint of this version ({type(error).__name__}: {error})"
         raise InputError(path, "state", problem, "remove work/ and train again") from error
 
 

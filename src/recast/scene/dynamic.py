@@ -97,7 +97,7 @@ def choose_actors(
                     log.name,
                     f"{field}: track {track_id}",
                     "is not in the log",
-                    f"choose of {', '.join(sorted(log.tracks)) or 'none'}",
+                    f"choose one of {', '.join(sorted(log.tracks)) or 'none'}",
                 )
     parked = _parked(log, views, config)
     chosen = {}

@@ -70,12 +70,12 @@ def evaluate_scene(
             pictures of what the scene makes of them.
 
     Raises:
-        InputError: the configuration keeps no image from training.
+        InputError: the configuration holds no image out from training.
     """
     chosen = held_out_frames(log, config)
     if not chosen:
         raise InputError(
-            "configuration", "holdout_every", "keeps no image", "set it to 8 and train again"
+            "configuration", "holdout_every", "holds no image out", "set it to 8 and train again"
         )
     folder = None if out is None else Path(out)
     pictured = _pictured(log, chosen)

@@ -84,7 +84,7 @@ def export_scene_at(
             "command line",
             "`time`",
             f"{seconds:g} s is not within the scene's times",
-            f"name one from 0 to {(last - first) / 1e6:g}",
+            f"give a time from 0 to {(last - first) / 1e6:g}",
         )
     timestamp_us = first + round(seconds * 1e6)
     poses = scene.actor_poses(timestamp_us)
@@ -113,7 +113,7 @@ def scene_interval(scene: StreetScene) -> tuple[int, int]:
         raise InputError(
             scene.log_name or "scene",
             "times",
-            "there are none, since nothing moves",
+            "the scene has no actors",
             "export it without a time",
         )
     return int(times.min()), int(times.max())

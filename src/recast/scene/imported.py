@@ -91,9 +91,9 @@ def given_placement(path: Path, scalable: bool = False) -> Placement:
     rotates = np.allclose(unit @ unit.T, np.eye(3), 0, 1e-4)
     if not rotates or not np.allclose(matrix[3], (0, 0, 0, 1)):
         kind = "a rotation, translation and scale" if scalable else "a rotation and translation"
-        raise InputError(path, "matrix", f"is not {kind}", "write another one")
+        raise InputError(path, "matrix", f"is not {kind}", "write another matrix")
     if not scalable and abs(scale - 1) > 1e-4:
-        raise InputError(path, "matrix", f"scales by {scale:.6g}", "write one in metres")
+        raise InputError(path, "matrix", f"scales by {scale:.6g}", "write a matrix in metres")
     rigid = se3.from_rotation_translation(se3.nearest_rotations(block)[0], matrix[:3, 3])
     return Placement(rigid, f"as given in {path.name}", scale if scalable else 1.0)
 
@@ -123,7 +123,10 @@ def frame_times(log: DrivingLog, clock: str | None, first: int = 0) -> Int64Arra
     times = sensors[clock]
     if not 0 <= first < len(times):
         raise InputError(
-            log.name, f"frame {first}", f"{clock} has frames 0 to {len(times) - 1}", "name another"
+            log.name,
+            f"frame {first}",
+            f"{clock} has frames 0 to {len(times) - 1}",
+            "choose another frame",
         )
     return times[first:]
 
@@ -280,7 +283,7 @@ def import_gaussians(
     background = read_gaussians(path, double=True)
     if len(background) == 0:
         raise InputError(path, "Gaussians", "there are none", "export it again")
-    placement = Placement(np.eye(4), "taken for the log's world")
+    placement = Placement(np.eye(4), "the log's world (no transform was given)")
     if world_from_file is not None:
         placement = given_placement(world_from_file, scalable=True)
         pose = torch.from_numpy(placement.world_from_scene)

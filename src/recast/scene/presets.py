@@ -150,7 +150,7 @@ def resolve_config(
             "`preset`",
             preset,
             "changes nothing: the configuration file names every field",
-            "leave one of the two out",
+            "leave out the preset or the file",
         )
     named = {} if written is None else written.model_dump(include=written.model_fields_set)
     named |= {field: value for field, value in (options or {}).items() if value is not None}

@@ -65,7 +65,7 @@ def claim_folder(folder: Path, log: DrivingLog, config: SceneConfig) -> None:
     """
     source = Source(log_name=log.name, log_fingerprint=log_fingerprint(log))
     if folder.exists() and not folder.is_dir():
-        raise InputError(folder, "output folder", "is a file", "name another one")
+        raise InputError(folder, "output folder", "is a file", "name another folder")
     if (folder / CONFIG_FILE).is_file() and (folder / SOURCE_FILE).is_file():
         _check_same(folder, source, config)
         return
@@ -80,7 +80,7 @@ def claim_folder(folder: Path, log: DrivingLog, config: SceneConfig) -> None:
             folder,
             "output folder",
             f"holds something that is not a scene ({strangers[0].name})",
-            "name another one or remove it",
+            "name another folder or remove this one",
         )
     write_json(folder / SOURCE_FILE, source.model_dump())
     write_config(config, folder / CONFIG_FILE)
@@ -100,7 +100,7 @@ def _check_same(folder: Path, source: Source, config: SceneConfig) -> None:
     mend = "name another folder or remove this one"
     found = read_training_config(folder)
     if not found.is_whole():
-        problem = "are those of an earlier release, whose recipe was another"
+        problem = "were written by an earlier release with another recipe"
         raise InputError(folder / CONFIG_FILE, "fields", problem, mend)
     for name in SceneConfig.model_fields:
         before, asked = getattr(found, name), getattr(config, name)

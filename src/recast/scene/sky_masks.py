@@ -111,8 +111,8 @@ def _from_network(views: Sequence[View], folder: Path) -> Iterator[Mask]:
         raise InputError(
             folder,
             "config.json",
-            f"names no class sky (there are {known})",
-            "take a network trained on Cityscapes or ADE20K",
+            f"has no class `sky` (its classes are {known})",
+            "use a network trained on Cityscapes or ADE20K",
         )
     for view in views:
         with torch.inference_mode():

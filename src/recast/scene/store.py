@@ -36,7 +36,7 @@ from recast.splats import CLASSIC, Gaussians, LowPass, read_ply, write_ply
 SCENE_VERSION = 1
 SCENE_FILE = "scene.json"
 TENSOR_FILE = "scene.safetensors"
-_MEND = "train the scene anew, or use the release that wrote it"
+_MEND = "train the scene again, or use the release that wrote it"
 
 
 class ActorRecord(Record):
@@ -68,12 +68,12 @@ def save_scene(scene: StreetScene, folder: str | Path) -> None:
 
     Raises:
         ValueError: the scene is not valid.
-        InputError: the folder holds a scene already, or the disk refuses.
+        InputError: the folder already holds a scene, or the disk refuses.
     """
     scene.validate()
     folder = Path(folder)
     if (folder / SCENE_FILE).exists():
-        raise InputError(folder, "output folder", "holds a scene already", "name another one")
+        raise InputError(folder, "output folder", "already holds a scene", "name another one")
     write_ply(folder / "background.ply", scene.background)
     tensors: dict[str, Tensor] = {"sky": scene.sky.colours}
     records = []
@@ -182,7 +182,7 @@ def _read_shapes(folder: Path, record: SceneRecord) -> dict[str, Deforming]:
         shapes = read(path, _MEND)
         strangers = sorted(shapes.keys() - left)
         if strangers:
-            problem = f"names track {strangers[0]}, which the scene lacks or shapes twice"
+            problem = f"names track {strangers[0]}, which the scene lacks, or which has two shapes"
             raise InputError(path, "actors", problem, _MEND)
         left -= shapes.keys()
         found |= shapes

@@ -52,10 +52,10 @@ def write_tensors(path: Path, tensors: Mapping[str, Tensor], header: Mapping[str
 
 def read_tensors(path: Path) -> tuple[dict[str, Tensor], dict[str, Any]]:
     """Tensors and header of a file; InputError if missing, cut short, or not ours."""
-    tensors, texts = read_safetensors(path, "tensors", "write it anew")
+    tensors, texts = read_safetensors(path, "tensors", "write it again")
     header = parse_json(path, texts.get(HEADER, ""))
     if not isinstance(header, dict):
-        raise InputError(path, "header", "is not an object", "write it anew")
+        raise InputError(path, "header", "is not an object", "write it again")
     return tensors, header
 
 

@@ -99,7 +99,7 @@ def _trained(
 ) -> TrainResult:
     if (out / SCENE_FILE).is_file():
         shutil.rmtree(out / WORK_FOLDER, ignore_errors=True)  # a kill may have been faster
-        mend = "train the scene anew"
+        mend = "train the scene again"
         budget = read_record(out / BUDGET_FILE, Budget, BUDGET_VERSION, mend)
         return TrainResult(load_scene(out), out, read_json(out / HISTORY_FILE), budget)
     threads = config.threads or usable_cores()

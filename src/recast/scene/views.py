@@ -55,11 +55,14 @@ def camera_names(log: DrivingLog, config: SceneConfig) -> tuple[str, ...]:
         InputError: a camera that the log does not have, or a log without cameras.
     """
     if not log.cameras:
-        raise InputError(log.name, "cameras", "there is none", "import a log with images")
+        raise InputError(log.name, "cameras", "the log has none", "import a log with images")
     for name in config.cameras:
         if name not in log.cameras:
             raise InputError(
-                log.name, f"camera {name}", "is not in the log", f"choose of {sorted(log.cameras)}"
+                log.name,
+                f"camera {name}",
+                "is not in the log",
+                f"choose one of {sorted(log.cameras)}",
             )
     return config.cameras or tuple(log.cameras)
 

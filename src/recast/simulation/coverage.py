@@ -97,12 +97,15 @@ class RolloutCoverage:
             one = image.coverage
             shares = np.array([getattr(one, name) for name in SHARES])
             if not 0 <= image.step < _MOST_STEPS:
-                raise ValueError(f"row {row}: step {image.step}")
+                raise ValueError(f"row {row}: step {image.step} is out of range")
             if not (one.pixels == 0 or LEAST_PIXELS <= one.pixels < np.inf):
-                raise ValueError(f"row {row}: {one.pixels} pixels")
+                raise ValueError(f"row {row}: {one.pixels} pixels are out of range")
             total = 1.0 if one.pixels else 0.0
             if not (np.all((shares >= 0) & (shares <= 1)) and abs(shares.sum() - total) < 1e-5):
-                raise ValueError(f"row {row}: shares {shares.tolist()} of {one.pixels:g} pixels")
+                raise ValueError(
+                    f"row {row}: shares {shares.tolist()} of {one.pixels:g} pixels are not "
+                    f"within 0 and 1, or their sum is not {total:g}"
+                )
 
 
 def rollout_coverage(

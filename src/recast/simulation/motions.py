@@ -258,7 +258,7 @@ class Idm:
 
     def __post_init__(self) -> None:
         if self.gap is None and self.lateral != 0.0:
-            raise ValueError("lateral: is an offset from the ego's route; give gap, too")
+            raise ValueError("lateral: is an offset from the ego's route; give gap as well")
         for name, least in (("speed", 0.0), ("min_gap", 0.0)):
             if not getattr(self, name) > least:
                 raise ValueError(f"{name}: is {getattr(self, name)}; give more than 0")

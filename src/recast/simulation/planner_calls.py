@@ -69,7 +69,7 @@ class PlannerCalls:
         if limit_s is not None and took > limit_s:
             raise ValueError(
                 f"planner {self.planner.name}: took {took:.3g} s for the plan at step {step}, "
-                f"the limit is {limit_s:g} s"
+                f"but the limit is {limit_s:g} s"
             )
         return checked_plan(plan, f"planner {self.planner.name}"), took
 
@@ -187,7 +187,7 @@ class PlannerProcess(Closing, PlannerAround):
 
     def _unsendable(self, error: Exception) -> InputError:
         problem = f"cannot be moved to a process of its own ({type(error).__name__}: {error})"
-        mend = "give the planner as package.module:attribute, or set no time limit"
+        mend = "give the planner as package.module:attribute, or remove the time limit"
         return InputError(f"planner {self.name}", "time limit", problem, mend)
 
     def _ask(self, method: str, given: object = None, limit_s: float | None = None) -> Any:

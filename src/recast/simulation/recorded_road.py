@@ -108,8 +108,8 @@ def refuse_if_too_short(setup: RolloutSetup, steps: int, reason: str | None) -> 
         raise InputError(
             setup.log.name,
             f"rollout {setup.name}",
-            f"{reason}, which leaves {max(steps, 0)} of {setup.steps} steps "
-            f"where at least {needed} are needed",
+            f"{reason}, which leaves {max(steps, 0)} of {setup.steps} steps, "
+            f"but at least {needed} are needed",
             "choose an earlier start, another motion or setting, or a longer log",
         )
 

@@ -48,7 +48,7 @@ def camera_mounts(
                 log.name,
                 f"camera {name}",
                 "is not in the log",
-                f"choose from {', '.join(log.cameras)}",
+                f"choose one of {', '.join(log.cameras)}",
             )
         stream = log.cameras[name]
         mounts[name] = camera_mount(stream.camera, stream.rig_from_camera, scale)

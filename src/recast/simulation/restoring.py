@@ -73,7 +73,7 @@ class RestoringRenderer:
         image, mount = found.get(name), self.mounts[name]
         problem = None
         if not isinstance(image, np.ndarray):
-            problem = "no image came back"
+            problem = "no image was returned"
         elif image.shape != part.shape or image.dtype != np.uint8:
             problem = f"is {image.dtype} {image.shape}, not uint8 {part.shape}"
         if image is None or problem is not None:

@@ -145,7 +145,7 @@ class Rollout:
     def first(self, steps: int) -> Rollout:
         """The same rollout, ended after `steps`, 1 to S."""
         if not 1 <= steps <= self.steps_run:
-            raise ValueError(f"Rollout.first: {steps} of {self.steps_run} steps")
+            raise ValueError(f"Rollout.first: expected 1 to {self.steps_run} steps, got {steps}")
         plans = int(np.searchsorted(self.plan_steps, steps))
         states = {
             name: getattr(self, name)[: steps + 1]

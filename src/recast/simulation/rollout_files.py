@@ -38,7 +38,7 @@ if TYPE_CHECKING:
 
 VERSION: Literal[2] = 2
 """1 called the arm a method."""
-_MEND = "write the rollout anew with this recast"
+_MEND = "write the rollout again with this version of recast"
 
 _Tuple = TypeVar("_Tuple", bound=tuple[float, ...])
 _Plain = Annotated[_Tuple, BeforeValidator(lambda v: v.tolist() if hasattr(v, "tolist") else v)]
@@ -198,7 +198,9 @@ def load_rollout(folder: str | Path) -> Rollout:
     try:
         rollout.validate()
         if rollout.steps_run != header.steps_run:
-            raise ValueError(f"steps_run is {header.steps_run}, the table has {rollout.steps_run}")
+            raise ValueError(
+                f"steps_run is {header.steps_run}, but the table has {rollout.steps_run} steps"
+            )
     except ValueError as error:
         raise InputError(folder, "rollout", str(error), _MEND) from None
     return rollout

@@ -210,7 +210,7 @@ def _start(setup: RolloutSetup) -> int:
                 setup.log.name,
                 "start_timestamp_us",
                 f"{setup.start_timestamp_us} lies outside the log",
-                f"choose one within [{first}, {last}]",
+                f"choose a time within [{first}, {last}]",
             )
         return setup.start_timestamp_us
     after = start_after(setup.motion)
@@ -218,8 +218,10 @@ def _start(setup: RolloutSetup) -> int:
         asked = first + round(after * 1e6)
         if asked > last:
             there = (last - first) * 1e-6
-            problem = f"starts {after:g} s after the first ego pose, the log has {there:g} s"
-            raise InputError(setup.log.name, f"scenario {setup.name}", problem, "use its own log")
+            problem = f"starts {after:g} s after the first ego pose, but the log has {there:g} s"
+            raise InputError(
+                setup.log.name, f"scenario {setup.name}", problem, "use the log of the scenario"
+            )
         return asked
     latest = last - round(setup.steps * setup.dt * 1e6)
     for timestamp in log.timestamps_us[log.timestamps_us <= latest]:

@@ -84,8 +84,8 @@ def _numbers(motion: AnyMotion) -> dict[str, Any]:
 def _kind(motion: AnyMotion) -> str:
     kind = kind_of(motion)
     if kind is None:
-        problem = f"is a {type(motion).__name__}, which no scenario file can describe"
-        raise InputError("scenario", f"motion {motion.name}", problem, "use a motion of recast")
+        problem = f"is a {type(motion).__name__}, which a scenario file cannot describe"
+        raise InputError("scenario", f"motion {motion.name}", problem, "use a built-in motion")
     return kind
 
 
@@ -95,20 +95,20 @@ def _kind(motion: AnyMotion) -> str:
 def _motions(root: Node) -> tuple[ScriptedMotion, ...]:
     if not isinstance(root.value, dict):
         mend = f"begin with version: {VERSION}; see docs/scenarios.md#your-own-as-a-file"
-        raise root.error("scenario", "is not a list of keys", mend)
+        raise root.error("scenario", "is not a mapping of keys to values", mend)
     version = _required(root, "version", f"write version: {VERSION}")
     if isinstance(version.value, bool) or version.value != VERSION:
         problem = f"is {version.shown}, this recast reads {VERSION}"
         raise version.error("version", problem, f"write {VERSION}")
     _refuse_unknown(root, _FILE_KEYS)
     schema = _schema(root)
-    name = _required(root, "name", "give one, such as hard-cut-in")
+    name = _required(root, "name", "give a name, such as hard-cut-in")
     described = root.value.get("description", Node("", root.place))
     if not isinstance(described.value, str):
         raise described.error("description", None, "give a text")
-    settings = _required(root, "settings", "give at least one, such as a")
+    settings = _required(root, "settings", "give at least one setting, such as a")
     if not isinstance(settings.value, dict) or not settings.value:
-        mend = "give at least one, such as a, with its numbers below it"
+        mend = "give at least one setting, such as a, with its numbers below it"
         raise settings.error("settings", None, mend)
     names = {
         "name": _word(name.value, name, "name"),
@@ -129,7 +129,7 @@ def _actors(root: Node, setting: str, settings: tuple[str, ...]) -> tuple[Scenar
     if actors is None:
         return ()
     if not isinstance(actors.value, dict) or not actors.value:
-        mend = "give track ids with their motions below it, or leave it out"
+        mend = "give track ids with their motions below it, or leave actors out"
         raise actors.error("actors", None, mend)
     return tuple(_actor(key, node, setting, settings) for key, node in actors.value.items())
 
@@ -139,9 +139,9 @@ def _actor(track_id: str, node: Node, setting: str, settings: tuple[str, ...]) -
     try:
         check_name("track id", track_id)
     except ValueError as error:
-        raise node.error(field, str(error), "name a track") from None
+        raise node.error(field, str(error), "give the id of a track") from None
     if not isinstance(node.value, dict):
-        raise node.error(field, None, f"give {', '.join(_ACTOR_KEYS)} below it")
+        raise node.error(field, None, f"give the keys {', '.join(_ACTOR_KEYS)} below it")
     _refuse_unknown(node, _ACTOR_KEYS)
     schema = _schema(node)
     replaced = node.value.get("replaced", Node(False, node.place))
@@ -150,7 +150,7 @@ def _actor(track_id: str, node: Node, setting: str, settings: tuple[str, ...]) -
     if "settings" not in node.value and not schema.needs_numbers:
         numbers = Node(None, node.place)
     else:
-        mend = f"give {', '.join(settings)}, as for the target"
+        mend = f"give the settings {', '.join(settings)}, as for the target"
         given = _required(node, "settings", mend)
         if not isinstance(given.value, dict):
             raise given.error("settings", None, mend)
@@ -211,8 +211,10 @@ def _rows(node: Node, key: str, rows: Rows, mend: str) -> tuple[tuple[float, ...
     found = []
     for row in node.value:
         if not isinstance(row.value, list) or len(row.value) != len(rows.columns):
-            numbers = f"a list of {len(row.value)}" if isinstance(row.value, list) else row.shown
-            raise row.error(key, f"has the row {numbers}", mend)
+            numbers = (
+                f"a list of length {len(row.value)}" if isinstance(row.value, list) else row.shown
+            )
+            raise row.error(key, f"has a row that is {numbers}", mend)
         pairs = zip(row.value, rows.columns, strict=True)
         found.append(tuple(_number(one, key, column) for one, column in pairs))
     return tuple(found)
@@ -229,13 +231,15 @@ def _refuse_unknown(node: Node, known: tuple[str, ...]) -> None:
     for key, member in node.value.items():
         if key not in known:
             near = get_close_matches(key, known, 1)
-            mend = f"did you mean {near[0]}?" if near else f"the keys are {', '.join(known)}"
+            mend = f"did you mean {near[0]}?" if near else f"choose one of {', '.join(known)}"
             raise member.error(key, "is not known", mend)
 
 
 def _word(text: Any, node: Node, field: str) -> str:
     """A name of small letters, digits and hyphens; `node` is where it stands."""
     if not isinstance(text, str) or len(text) > _LONGEST_WORD or not _WORD.fullmatch(text):
-        mend = "use small letters, digits and single hyphens, 40 at most, in quotes if all digits"
+        mend = (
+            "use lower-case letters, digits and single hyphens, at most 40; quote it if all digits"
+        )
         raise Node(text, node.place).error(field, None, mend)
     return text

@@ -67,8 +67,8 @@ def parse_motions(name: str) -> tuple[ScriptedMotion, ...]:
             raise InputError(
                 path,
                 "name",
-                f"{motion.name} with setting {motion.setting} is a scenario of recast",
-                "choose another name, so that results tell them apart",
+                f"{motion.name} with setting {motion.setting} is a built-in scenario",
+                "choose another name or setting, so that results differ in name",
             )
     return own
 
@@ -94,6 +94,6 @@ def motion(name: str | Path | AnyMotion | Scenario) -> AnyMotion | Scenario:
     raise InputError(
         "motion",
         type(name).__name__,
-        "is not a motion: it needs name, setting, and start and step, or script",
-        "give a motion; see docs/scenarios.md#your-own-in-python",
+        "is not a motion: a motion has name, setting, and start and step, or script",
+        "give a motion object; see docs/scenarios.md#your-own-in-python",
     )

@@ -78,7 +78,7 @@ class SceneRenderer(Mounted):
                     "scene",
                     f"actor {track_id}",
                     "has no model in the scene",
-                    f"it has {there}; reconstruct or insert it first",
+                    f"reconstruct or insert the actor first; the scene has models of {there}",
                 )
         # Other tracks that the scene modelled as background cannot be moved or drawn apart.
         return {key: pose for key, pose in state.poses.items() if key in self.scene.actors}

@@ -94,7 +94,7 @@ class RolloutSetup:
         microseconds = self.dt * 1e6
         whole = math.isfinite(microseconds) and abs(microseconds - round(microseconds)) < 1e-3
         if not (whole and _DT[0] <= self.dt <= _DT[1]):
-            mend = f"give whole microseconds, {_DT[0]:g} to {_DT[1]:g} s"
+            mend = f"give {_DT[0]:g} to {_DT[1]:g} s, in whole microseconds"
             raise _refused("dt", f"is {self.dt} s", mend)
         if self.plan_limit_s is not None and not self.plan_limit_s > 0.0:
             raise _refused("plan_limit_s", f"is {self.plan_limit_s} s", "give more than 0, or None")
@@ -112,7 +112,7 @@ class RolloutSetup:
                 raise _refused("actors", problem, "give each track one motion")
         for track_id, given in self.controlled.items():
             if not is_motion(given):
-                problem = f"that of track {track_id} is a {type(given).__name__}"
+                problem = f"the motion of track {track_id} is a {type(given).__name__}"
                 mend = "give a motion, such as recast.simulation.motion('cut-in')"
                 raise _refused("motion" if track_id == self.track_id else "actors", problem, mend)
 
@@ -194,17 +194,17 @@ def as_setup(
     """
     if not isinstance(actors, Mapping) or not actors:
         mend = "name the target and its motion, such as actors={'0': 'cut-in'}"
-        raise InputError("Simulator", "actors", "is empty", mend)
+        raise InputError("Simulator", "actors", "is empty or not a mapping", mend)
     unknown = set(settings) - set(RolloutSettings.__annotations__)
     if unknown:
-        mend = f"the settings are {', '.join(RolloutSettings.__annotations__)}"
+        mend = f"choose one of {', '.join(RolloutSettings.__annotations__)}"
         raise InputError("Simulator", sorted(unknown)[0], "is not a setting", mend)
     (target, scripted), *others = ((key, motion(value)) for key, value in actors.items())
     further: dict[str, AnyMotion] = {}
     for key, value in others:
         if isinstance(value, Scenario):
             problem = f"track {key} is given the scenario {value.name}, which has several actors"
-            raise InputError("Simulator", "actors", problem, "give it to the first track")
+            raise InputError("Simulator", "actors", problem, "give the scenario to the first track")
         further[key] = value
     names = None if cameras is None else tuple(cameras)
     return RolloutSetup(log, target, scripted, camera_names=names, actors=further, **settings)

@@ -349,7 +349,9 @@ class Simulator:
             ValueError: the rollout has not come there.
         """
         if not 0 <= step <= self.step_number:
-            raise ValueError(f"Simulator.state_at: {step}, but it is at step {self.step_number}")
+            raise ValueError(
+                f"Simulator.state_at: expected step 0 to {self.step_number}, got {step}"
+            )
         return read_only(sim_state(self._setup, self._start, self._actors, self._ego[step], step))
 
     def warn_of_reach(self, plan: Plan) -> None:
@@ -369,8 +371,9 @@ class Simulator:
         problem = (
             f"planner {self.planner}: the first waypoint at step {self.step_number} is "
             f"{np.hypot(x, y):.1f} m and {np.rad2deg(turn):.0f} degrees away; in {setup.dt:g} s at "
-            f"{state.speed:.1f} m/s a car comes {reach:.1f} m and {np.rad2deg(_SHARPEST):.0f} "
-            f"degrees far at most; are waypoints in the ego frame and {setup.dt:g} s apart?"
+            f"{state.speed:.1f} m/s a car moves at most {reach:.1f} m and "
+            f"{np.rad2deg(_SHARPEST):.0f} degrees; are waypoints in the ego frame and "
+            f"{setup.dt:g} s apart?"
         )
         warnings.warn(problem, RuntimeWarning, stacklevel=2)
 
@@ -387,7 +390,7 @@ class Simulator:
         executed = np.array(states, np.float64)[1:]
         self.timings.control += perf_counter() - began
         if not np.all(np.abs(executed) <= WORLD_REACH):  # also NaN
-            problem = "leads to ego states that are not finite or out of this world"
+            problem = "leads to ego states that are not finite or too far away"
             mend = "plan waypoints that a vehicle can reach"
             where = f"planner {self.planner}"
             raise InputError(where, f"plan at step {self.step_number}", problem, mend)

@@ -103,7 +103,7 @@ def refuse_off_map(
     share = float(np.mean(distance <= _TOLERANCE))
     if share < _ROUTE_ON_MAP:
         problem = f"only {share:.0%} of the ego's route lies on the map"
-        mend = "check that the map is of this drive and in its world frame"
+        mend = "use a map of this drive, in the world frame of the log"
         raise InputError(setup.log.name, f"rollout {setup.name}", problem, mend)
 
 
@@ -127,7 +127,7 @@ def checked_script(
     actor = np.asarray(motion.script(situation, steps, dt))
     expected, problem = (steps + 1, len(PATH_COLUMNS)), None
     if actor.shape != expected or actor.dtype.kind not in "iuf":
-        problem = f"its script is {actor.dtype} {actor.shape}, not numbers {expected}"
+        problem = f"its script returned {actor.dtype} {actor.shape}, not numbers {expected}"
     elif not (np.abs(actor) <= WORLD_REACH).all():  # also NaN
         step = int(np.argmin((np.abs(actor) <= WORLD_REACH).all(axis=1)))
         problem = f"its state {step} is {actor[step].tolist()}"

@@ -155,7 +155,7 @@ def check_array(
     if not fits:
         raise ValueError(f"{where}: expected {shape}, got {value.shape}")
     if value.dtype.kind != kind:
-        raise ValueError(f"{where}: holds {value.dtype}")
+        raise ValueError(f"{where}: has the wrong type {value.dtype}")
     if not np.all(np.isfinite(value)):
         raise ValueError(f"{where}: holds NaN or infinity")
     # Metres of the world are the largest; whatever is larger in another unit is no motion either.

@@ -84,7 +84,7 @@ def pick_device(name: str = "auto") -> torch.device:
     if device.type == "cpu":
         return device
     if device.type != "cuda":
-        raise InputError("device", name, "has no rasterizer", mend)
+        raise InputError("device", name, "has no rasterizer in recast", mend)
     if (device.index or 0) >= torch.cuda.device_count():
         raise InputError("device", name, f"torch sees {torch.cuda.device_count()} GPUs", mend)
     load_gsplat()

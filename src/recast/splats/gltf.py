@@ -56,7 +56,10 @@ def write_gltf(path: str | Path, gaussians: Gaussians, low_pass: LowPass | None 
     n = len(gaussians)
     if n == 0:
         raise InputError(
-            path, "Gaussians", "there are none, and glTF has no empty array", "skip it"
+            path,
+            "Gaussians",
+            "there are none, and glTF cannot hold an empty array",
+            "leave this file out",
         )
     arrays = _arrays(gaussians)
     views: list[dict[str, Any]] = []
@@ -174,7 +177,7 @@ def _count(file: GlbFile, primitive: Primitive, field: str) -> int:
     if primitive.mode != POINTS or "POSITION" not in primitive.attributes:
         raise file.fault(field, "is not made of points, or they have no POSITION")
     if primitive.indices is not None:
-        raise file.fault(f"{field}.indices", "are not read of Gaussians")
+        raise file.fault(f"{field}.indices", "are not supported for Gaussians")
     index = primitive.attributes["POSITION"]
     return file.at(file.tree.accessors, index, f"{field}.POSITION").count
 
@@ -205,6 +208,6 @@ def _primitive(file: GlbFile, one: Primitive, pose: Array, field: str, n: int) -
     block = pose[:3, :3]
     scale = float(max(np.linalg.det(block), 0.0)) ** (1 / 3)
     if not np.allclose(block @ block.T, scale**2 * np.eye(3), 0, 1e-4 * scale**2) or scale == 0:
-        raise file.fault("nodes", "shear, mirror, or scale unevenly, which is not read")
+        raise file.fault("nodes", "shear, mirror, or scale unevenly, which is not supported")
     rigid = se3.from_rotation_translation(block / scale, pose[:3, 3])
     return gaussians.transformed(torch.from_numpy(rigid), scale)

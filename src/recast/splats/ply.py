@@ -105,7 +105,7 @@ def read_low_pass(path: str | Path) -> LowPass | None:
     A file with `filter_3D` was made for the filter of Mip-Splatting.
 
     Raises:
-        InputError: the file is missing, or the declaration cannot be understood.
+        InputError: the file is missing, or the declaration is not a PLY header.
     """
     with disk_errors(path), Path(path).open("rb") as file:
         data = file.read(_LONGEST_HEADER)
@@ -274,14 +274,14 @@ def _parse_header(path: Path, data: bytes) -> _Header:
     except (KeyError, ValueError, IndexError) as error:
         if isinstance(error, InputError):
             raise
-        raise InputError(path, "header", f"cannot be understood ({error})", _EXPORT_AGAIN) from None
+        raise InputError(path, "header", f"is not a PLY header ({error})", _EXPORT_AGAIN) from None
     names = [name for name, _, _ in sizes]
     if "vertex" not in names or not order or min(size for _, size, _ in sizes) < 0:
         raise InputError(path, "header", "has no format or no element vertex", _EXPORT_AGAIN)
     at = names.index("vertex")
     _, count, dtype = sizes[at]
     if _COMPRESSED in (dtype.names or ()):
-        problem = f"is a compressed PLY of SuperSplat ({_COMPRESSED}), which is not read"
+        problem = f"is a compressed PLY of SuperSplat ({_COMPRESSED}), which is not supported"
         raise InputError(path, "format", problem, "export it as an uncompressed PLY")
     before = tuple((size, dtype) for _, size, dtype in sizes[:at])
     return _Header(end.end(), before, count, dtype, order == _ORDERS["ascii"])

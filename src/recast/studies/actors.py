@@ -176,7 +176,7 @@ def evaluate_actors(
                 folder,
                 "vehicles",
                 f"none could be made; {case.id}: {failures[case.id]}",
-                "see that the generator fits these pictures",
+                "check that the generator fits these images",
             )
         mean = mean_scores([one.mean for one in results])
         evaluation = ActorEvaluation(generator.name, seed, tuple(results), failures, mean)
@@ -252,7 +252,9 @@ def evaluate_tracks(
             see `make_actor`.
     """
     if not tracks:
-        raise InputError("`track`", "tracks", "none is named", "name one; log info lists them")
+        raise InputError(
+            "`track`", "tracks", "none is given", "give a track; `recast log info` lists them"
+        )
     for track_id in tracks:
         require_model(scene, track_id)
     results = []
@@ -270,7 +272,10 @@ def evaluate_tracks(
             views = list(held_out_track(log, track_id, config, models))
             if not views:
                 raise InputError(
-                    log.name, f"track {track_id}", "is in no held-out image", "name another track"
+                    log.name,
+                    f"track {track_id}",
+                    "is not in any held-out image",
+                    "choose another track",
                 )
             PilImage.fromarray(_sheet(views)).save(place / "held_out.png", format="PNG")
             results.append(_result(track_id, views, refined))

@@ -168,8 +168,8 @@ def _require_unshared(planners: Mapping[str, Planner], workers: int, ray: str | 
     """
     shared = next((word for word, one in planners.items() if whole_planner(one).shared), None)
     if shared is not None and (workers != 1 or ray is not None):
-        problem = "is one program, which drives one rollout at a time"
-        raise InputError("`planner`", shared, problem, "use one worker, and no `ray`")
+        problem = "is a single program that drives only one rollout at a time"
+        raise InputError("`planner`", shared, problem, "use one worker, without `ray`")
 
 
 def _announce(settings: BenchSettings, planner: Planner, console: Console) -> None:
@@ -226,4 +226,4 @@ def _print(results: GridResults, settings: BenchSettings, console: Console) -> N
         console.print(printable(line), markup=False, highlight=False, style="red")
     if len(lines) > _SHOWN_FAILURES:
         more = len(lines) - _SHOWN_FAILURES
-        console.print(f"and {more} more reasons, see {RESULTS_FILE}", markup=False, style="red")
+        console.print(f"and {more} more reasons in {RESULTS_FILE}", markup=False, style="red")

@@ -63,11 +63,13 @@ def parse_scenes(words: Sequence[str], seed: int, track: str | None = None) -> l
     """
     scenes = [scene for word in words for scene in _parse(word, seed, track)]
     if not scenes:
-        raise InputError("`scenes`", "value", "names none", f"choose of {', '.join(SCENES)}")
+        raise InputError(
+            "`scenes`", "value", "names no scene", f"give one or more of {', '.join(SCENES)}"
+        )
     seen: set[str] = set()
     for scene in scenes:
         if scene.id in seen:
-            raise InputError("`scenes`", scene.id, "is named twice", "name each scene once")
+            raise InputError("`scenes`", scene.id, "is given twice", "give each scene once")
         seen.add(scene.id)
     return scenes
 
@@ -96,7 +98,7 @@ def _parse(word: str, seed: int, track: str | None) -> list[BenchScene]:
         "`scenes`",
         word,
         "is neither a synthetic scene nor a log folder",
-        f"choose of {', '.join(SCENES)}, say {ALL_SYNTHETIC} for all, or give LOG:TRACK",
+        f"choose one of {', '.join(SCENES)}, write {ALL_SYNTHETIC} for all, or give LOG:TRACK",
     )
 
 
@@ -181,14 +183,14 @@ def begin(out: Path, record: Mapping[str, Any]) -> None:
     if path.is_file():
         found = files.read_json(path)
         if not isinstance(found, dict) or found.get("format") != record["format"]:
-            raise InputError(path, "format", "is not a grid's", "name another `out`")
+            raise InputError(path, "format", "is not that of a grid", "give another `out`")
         differing = first_difference({name: found.get(name) for name in record}, dict(record))
         if differing is not None:
             raise InputError(
                 path,
                 differing,
-                "differs: another grid lies there",
-                "name another `out`, or repeat the options of the grid that lies there",
+                "differs: the folder contains another grid",
+                "give another `out`, or repeat the options of the grid in this folder",
             )
         return
     claim_empty(out, RECORD_FILE)

@@ -153,7 +153,7 @@ def differences_table(differences: Sequence[PairedDifference]) -> Table:
     level = 100 * differences[0].sampled.level
     scenes = max(one.scenes for one in differences)
     baseline = f"minus\n{broken_name(differences[0].baseline)}"
-    title = f"paired differences, {scenes} scenes drawn whole"
+    title = f"paired differences, bootstrap over {scenes} scenes"
     figures = ["mean", f"{level:g} % sampled", "exact", "pairs", "plans"]
     table = narrow_table(title, [baseline, "metric"], figures)
     for one in differences:
@@ -183,7 +183,7 @@ def times_line(times: Mapping[str, Any]) -> str:
     )
     return (
         f"{session['seconds']:.0f} s with --workers {session['workers']} for "
-        f"{session['rollouts']} rollouts; all {whole['rollouts']} took {whole['seconds']:.0f} s"
+        f"{session['rollouts']} rollouts; in total {whole['rollouts']} in {whole['seconds']:.0f} s"
         + (f": {shares}" if shares else "")
     )
 

@@ -198,7 +198,7 @@ class Times:
     def __init__(self, out: Path, workers: int) -> None:
         self._path, before = out / TIMES_FILE, _Earlier()
         if self._path.is_file():
-            before = read_record(self._path, _Earlier, TIMES_VERSION, "remove it")
+            before = read_record(self._path, _Earlier, TIMES_VERSION, "delete it")
         self._rollouts, self._sessions = before.rollouts, before.sessions
         self._session = _Session(workers=workers)
 

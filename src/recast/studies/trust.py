@@ -28,7 +28,7 @@ from recast.studies.grid import BENCH_FORMAT, RECORD_FILE, ROLLOUTS_FILE, SCENES
 from recast.tables import read_parquet
 
 _NAMES = ("scene", "motion", "setting", "planner", "arm")
-_MEND = "name the folder of a finished `recast bench closed-loop`"
+_MEND = "give the folder of a finished `recast bench closed-loop`"
 Key = tuple[str, ...]
 """Scene, motion, setting, planner and arm of a rollout."""
 
@@ -57,10 +57,12 @@ def run_trust(
             to calibrate.
     """
     if not grids and not validate:
-        raise InputError("GRIDS", "grid", "none is named", "name a grid, or --validate GRID")
+        raise InputError("GRIDS", "grid", "none is given", "give a grid, or --validate GRID")
     if grids and (out is None or calibration is not None):
-        problem = "is missing" if out is None else "is made, and --calibration gives another"
-        raise InputError("--out", "calibration", problem, "name the file of the new calibration")
+        problem, mend = "is missing", "give the file for the new calibration"
+        if out is not None:
+            problem, mend = "is made from GRIDS", "leave out --calibration, or GRIDS and --out"
+        raise InputError("--out", "calibration", problem, mend)
     found: dict[str, Reliability] = {}
     if grids:
         assert out is not None
@@ -149,8 +151,8 @@ def _all_rollouts(grids: Sequence[Path], console: Console) -> list[JudgedRollout
     for grid in grids:
         rollouts = judged_rollouts(grid)
         if not rollouts:
-            problem = "no planner of the grid looks at images"
-            raise InputError(grid, "rollouts", problem, "name a grid of another planner")
+            problem = "no planner of the grid uses images"
+            raise InputError(grid, "rollouts", problem, "give a grid with another planner")
         words = f"{printable(str(grid))}: {len(rollouts)} rollouts"
         console.print(words, markup=False, highlight=False)
         for one in rollouts:
@@ -181,14 +183,16 @@ def _verdicts(grid: Path) -> dict[Key, bool]:
     """Whether each compared rollout agrees with the truth."""
     record = files.read_json(grid / RECORD_FILE)
     if not isinstance(record, dict) or record.get("format") != BENCH_FORMAT:
-        raise InputError(grid / RECORD_FILE, "format", "is not a grid's", _MEND)
+        raise InputError(grid / RECORD_FILE, "format", "is not that of a grid", _MEND)
     path = grid / ROLLOUTS_FILE
     if not path.is_file():
         raise InputError(path, "rollouts", "are missing: the grid is not finished", _MEND)
     table = read_parquet(path, (*_NAMES, "verdict_agrees"), _MEND)
     agrees = table.data["verdict_agrees"]
     if not pa.types.is_boolean(agrees.type):
-        raise InputError(path, "column verdict_agrees", f"holds {agrees.type}, no booleans", _MEND)
+        raise InputError(
+            path, "column verdict_agrees", f"has type {agrees.type}, expected boolean", _MEND
+        )
     keys = zip(*(table.words(name).tolist() for name in _NAMES), strict=True)
     found = {
         key: bool(value)
@@ -197,6 +201,6 @@ def _verdicts(grid: Path) -> dict[Key, bool]:
     }
     if not found:
         problem = "has no value: no rollout was compared with the truth"
-        mend = "name a grid with `--arm oracle`"
+        mend = "give a grid that was run with `--arm oracle`"
         raise InputError(path, "column verdict_agrees", problem, mend)
     return found

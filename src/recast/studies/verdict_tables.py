@@ -46,7 +46,7 @@ def truth_table(lines: Sequence[VerdictCounts], floor: VerdictCounts | None = No
 def parts_table(losses: Sequence[PartLoss]) -> Table:
     """A line for each pair of arms that differ in one part: agreement of both, and the loss."""
     figures = ["agree", "of", "lost %", "95 % interval"]
-    table = narrow_table("what a disagreement is made of", ["arm", "part", "without"], figures)
+    table = narrow_table("causes of disagreement", ["arm", "part", "without"], figures)
     for one in losses:
         loss = _percent(one.loss)
         table.add_row(

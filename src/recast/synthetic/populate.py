@@ -150,7 +150,7 @@ def world_of(log: DrivingLog) -> World:
         raise InputError(log.name, "dataset", problem, "use a log made by recast log synth")
     if metadata.get("world_version") != str(WORLD_VERSION):
         problem = f"is {metadata.get('world_version')!r}, this recast makes {WORLD_VERSION}"
-        mend = "make the log anew: recast log synth"
+        mend = "make the log again: recast log synth"
         raise InputError(log.name, "world_version", problem, mend)
     try:
         name, seed, seconds = metadata["scene"], int(metadata["seed"]), float(metadata["seconds"])
@@ -158,7 +158,7 @@ def world_of(log: DrivingLog) -> World:
         people = {"no": False, "yes": True}[metadata.get("people", "no")]
     except (KeyError, ValueError, StopIteration) as error:
         raise InputError(
-            log.name, "metadata", f"does not name a world ({error})", "make the log anew"
+            log.name, "metadata", f"does not name a world ({error})", "make the log again"
         ) from None
     return make_world(name, seed, seconds, light, people)
 

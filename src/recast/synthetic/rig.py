@@ -95,11 +95,11 @@ def make_rig(width: int = 480, height: int = 320, cameras: tuple[str, ...] | Non
     names = CAMERAS if cameras is None else tuple(cameras)
     for name in names:
         if name not in _CAMERA_PLACES:
-            choice = f"choose of {', '.join(CAMERAS)}"
+            choice = f"choose one of {', '.join(CAMERAS)}"
             raise InputError("rig", f"camera {name}", "does not exist", choice)
     if not names or len(set(names)) < len(names):
         problem = "names none" if not names else f"names one twice: {', '.join(names)}"
-        raise InputError("rig", "cameras", problem, f"choose of {', '.join(CAMERAS)}")
+        raise InputError("rig", "cameras", problem, f"choose one of {', '.join(CAMERAS)}")
     focal = width / (2 * np.tan(_HORIZONTAL_FIELD / 2))
     camera = PinholeCamera(width, height, focal, focal, width / 2, height / 2)
     rig_from_lidar = se3.from_rotation_translation(np.eye(3), np.array(_LIDAR_PLACE))
@@ -171,7 +171,7 @@ class Truth:
         if not 0 <= frame < count:
             known = ", ".join(f"{key} 0-{n - 1}" for key, n in self.record.frames.items())
             raise InputError(
-                self.folder, f"{camera} frame {frame}", "is not there", f"choose of {known}"
+                self.folder, f"{camera} frame {frame}", "is missing", f"choose one of {known}"
             )
 
 
@@ -182,7 +182,7 @@ def read_truth(log_folder: str | Path) -> Truth:
         InputError: there is none, or truth.json is broken or of another version.
     """
     folder = Path(log_folder) / TRUTH_FOLDER
-    mend = "make the log anew: recast log synth --truth"
+    mend = "make the log again: recast log synth --truth"
     if not (folder / TRUTH_RECORD).is_file():
         raise InputError(folder, TRUTH_RECORD, "is missing", mend)
     record = records.read_record(

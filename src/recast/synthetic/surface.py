@@ -169,7 +169,7 @@ class Surface:
         if not np.all(np.isfinite(self.vertices)):
             raise ValueError("Surface.vertices: not all are finite")
         if count and (self.faces.min() < 0 or self.faces.max() >= len(self.vertices)):
-            raise ValueError("Surface.faces: names a vertex that is not there")
+            raise ValueError("Surface.faces: names a vertex that does not exist")
         for name, shape in (("normals", (count, 3, 3)), ("colours", (count, 3))):
             value = getattr(self, name)
             if value.shape != shape or value.dtype != np.float32:

@@ -140,7 +140,7 @@ def require_plain(path: Path, schema: pa.Schema, columns: Iterable[str], mend: s
     for name in columns:
         indices = schema.get_all_field_indices(name)
         if len(indices) != 1:
-            problem = "is there twice" if indices else "is missing"
+            problem = "occurs twice" if indices else "is missing"
             raise InputError(path, f"column {name}", problem, mend)
         kind = schema.field(indices[0]).type
         plain = _is_number(kind) or _is_text(kind) or _is_bytes(kind) or _is_list(kind)
@@ -245,7 +245,7 @@ def check_batches(path: Path, mend: str, limit: int) -> None:
     """
     with arrow_errors(path, "Arrow file", mend), path.open("rb") as stream:
         if stream.read(len(_MAGIC)) != _MAGIC:
-            raise ValueError("no Arrow file")
+            raise ValueError("is not an Arrow file")
         with mmap.mmap(stream.fileno(), 0, access=mmap.ACCESS_READ) as data:
             largest = max((size for _, size in _batch_sizes(data)), default=0)
         if largest > limit:
@@ -271,9 +271,9 @@ def declared_size(data: Buffer) -> tuple[int, int]:
 def _batch_sizes(data: Buffer) -> Iterator[tuple[int, int]]:
     """Rows (0 for a dictionary) and decompressed bytes of each message."""
     if data[:4] == b"FEA1":
-        raise ValueError("feather version 1; write it anew as version 2")
+        raise ValueError("feather version 1; write it again as version 2")
     if data[: len(_MAGIC)] != _MAGIC or data[-len(_MAGIC) :] != _MAGIC:
-        raise ValueError("no Arrow file, or cut short")
+        raise ValueError("is not an Arrow file, or is truncated")
     end = len(data) - len(_MAGIC) - 4
     length = integer(data, end, 4)
     if not 0 < length <= end - 8:
@@ -293,7 +293,7 @@ def _batch(data: Buffer, block: np.void, kind: int) -> tuple[FlatTable, int, int
     if start < 0 or metadata < 8 or length < 0 or body + length > len(data):
         raise ValueError("a block lies outside of the file")
     if integer(data, start, 4, signed=False) != _CONTINUATION:
-        raise ValueError("a message without its marker; write it anew")
+        raise ValueError("a message without its marker; write the file again")
     message = FlatTable.root(data[start + 8 : body])
     header = message.table(2)
     if header is None or message.integer(1, 1) != kind or message.integer(3, 8) != length:

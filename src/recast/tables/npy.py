@@ -127,10 +127,10 @@ def _array(path: Path, field: str, data: bytes, mend: str) -> NDArray[Any]:
         raise InputError(path, field, f"has the shape {shape}", mend)
     start, count = stream.tell(), math.prod(shape)
     if count * dtype.itemsize != len(data) - start:
-        told = f"{count * dtype.itemsize} bytes of values, {len(data) - start} are there"
+        told = f"{count * dtype.itemsize} bytes of values, {len(data) - start} are present"
         raise InputError(path, field, f"says {told}", mend)
     try:
         values = np.frombuffer(data, dtype, count, start)
         return values.reshape(shape, order="F" if fortran else "C").copy()
     except (ValueError, OverflowError) as error:  # an axis too long, beside one of length 0
-        raise InputError(path, field, f"cannot be of its shape ({error})", mend) from None
+        raise InputError(path, field, f"does not fit its shape ({error})", mend) from None

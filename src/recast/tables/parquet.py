@@ -234,7 +234,7 @@ def read_footer(stream: IO[bytes], size: int) -> tuple[list[Leaf], list[Group]]:
     stream.seek(size - 8)
     length = int.from_bytes(stream.read(4), "little")
     if stream.read(4) != _MAGIC:
-        raise ValueError("it is not a parquet file, or cut short")
+        raise ValueError("it is not a parquet file, or it is truncated")
     if length > min(size - 12, FOOTER_LIMIT):
         raise ValueError(f"its footer has {length} bytes, {FOOTER_LIMIT} are read at most")
     stream.seek(size - 8 - length)
@@ -277,7 +277,7 @@ def read_chunk(stream: IO[bytes], leaf: Leaf, metadata: dict[int, Any], rows: in
         elif kind in _COUNTS:
             counts = _struct(header, _COUNTS[kind])
             if counts.get(_ENCODING[kind]) == _DELTA_BYTE_ARRAY:
-                raise ValueError("texts as changes to the one before are not read")
+                raise ValueError("delta-encoded texts are not supported")
             pages += size
             seen += _count(counts, 1)
         largest = max(largest, size)

@@ -177,7 +177,7 @@ def train(
                 raise InputError(
                     folder,
                     f"step {state.step}",
-                    "the loss is no longer finite",
+                    "the loss is not finite",
                     "lower the learning rate, or train in float32",
                 )
             state.step += 1

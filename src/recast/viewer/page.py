@@ -229,7 +229,12 @@ def _handshakes_checked(listening: str, names: Collection[str]) -> Iterator[None
     finally:
         listener.serve = serve  # type: ignore[misc]
     if not used:
-        raise InputError("viser", "version", "cannot be guarded", "pip install 'viser~=1.1'")
+        raise InputError(
+            "viser",
+            "version",
+            "cannot be protected from other web pages",
+            "pip install 'viser~=1.1'",
+        )
 
 
 def close_server(server: viser.ViserServer) -> None:
@@ -247,6 +252,6 @@ def _require_own(host: str) -> None:
         raise InputError(
             "`host`",
             host,
-            f"cannot be listened on ({error.strerror or error})",
-            "name an IPv4 address of this machine",
+            f"cannot be used as the server's address ({error.strerror or error})",
+            "give an IPv4 address of this machine",
         ) from None

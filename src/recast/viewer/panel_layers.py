@@ -66,7 +66,7 @@ class ComparePanel:
             for name, mount in drive.cameras.items()
             if mount.film is not None
         )
-        self._on = gui.add_checkbox("Show pictures", False, disabled=not names)
+        self._on = gui.add_checkbox("Show images", False, disabled=not names)
         self._camera = gui.add_dropdown("Camera", tuple(names) or ("none",))
         self._arms = [gui.add_dropdown(side, playback.arms) for side in ("First", "Second")]
         self._panes = [gui.add_image(_NOTHING, format="jpeg", visible=False) for _ in self._arms]

@@ -126,7 +126,7 @@ class PlayPanel:
         self._event = gui.add_dropdown("Moment", _events(playback.drive))
         self._go_event = gui.add_button("Go to the moment")
         self._look = gui.add_dropdown("Camera", look_names(playback.drive))
-        self._go_look = gui.add_button_group("Camera:", ("go there", "ride along", "let go"))
+        self._go_look = gui.add_button_group("Camera:", ("go there", "follow", "release"))
         self._slider.on_update(lambda event: self._by_hand(event, self._slider.value))
         self._scenario.on_update(lambda event: self._select(event, scenario=self._scenario.value))
         self._arm.on_update(lambda event: self._select(event, arm=self._arm.value))
@@ -179,10 +179,10 @@ class PlayPanel:
         if client is None:
             return
         what = self._go_look.value
-        if what == "let go":
+        if what == "release":
             self._riding.pop(client.client_id, None)
             return
-        if what == "ride along":
+        if what == "follow":
             self._riding[client.client_id] = self._look.value
         aim(client, look(self._playback.drive, self._look.value, self._playback.step))
 

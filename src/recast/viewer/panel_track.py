@@ -61,7 +61,7 @@ def track_evidence(log: DrivingLog, track_id: str, actor: Actor | None = None) -
     try:
         found = observe(log, track_id, segmenter=BoxLidarSegmenter(), views=VIEWS)
     except InputError as error:
-        return Evidence((*lines, f"no view that could be cut out: {error.problem}"))
+        return Evidence((*lines, f"no view could be cut out: {error.problem}"))
     lines += found.explain().splitlines()
     crops = tuple(
         (f"{one.view.camera}, frame {one.view.frame}", faded(one.rgba)) for one in found.views
@@ -71,11 +71,11 @@ def track_evidence(log: DrivingLog, track_id: str, actor: Actor | None = None) -
 
 def actor_lines(actor: Actor) -> list[str]:
     """Generator of an actor, and the shares of its Gaussians by where they come from."""
-    lines = [f"replaced by a vehicle of {actor.provenance.generator}"]
+    lines = [f"replaced by a vehicle made by {actor.provenance.generator}"]
     if actor.shares is not None:
         seen, mirrored, invented = actor.shares.columns.mean(dim=0).tolist()
         lines.append(
-            f"of its Gaussians {seen:.0%} were seen, {mirrored:.0%} mirrored and "
+            f"Gaussians of the vehicle: {seen:.0%} seen, {mirrored:.0%} mirrored, "
             f"{invented:.0%} invented"
         )
     return lines
@@ -103,7 +103,7 @@ class TrackPanel:
         tracks = sorted({track for drive in playback.inputs.drives for track in drive.poses})
         gui = server.gui
         self._tracks = gui.add_dropdown("Track", tuple(tracks) or ("none",))
-        self._show = gui.add_button("Show what was seen of it")
+        self._show = gui.add_button("Show this track in the log")
         self._crops: list[viser.GuiImageHandle] = []
         self._folder = gui.add_folder("Best views in the log")
         self._text = gui.add_markdown("Click on a box, or choose a track.")
@@ -128,7 +128,7 @@ class TrackPanel:
     def _evidence(self, track: str, arm: str) -> Evidence:
         inputs = self._playback.inputs
         if inputs.log is None:
-            return Evidence(("no log was named: give --log",))
+            return Evidence(("no log was given: use --log",))
         return track_evidence(inputs.log, track, inputs.actors.get(arm, {}).get(track))
 
 

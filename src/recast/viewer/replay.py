@@ -67,7 +67,7 @@ def write_replay(
         raise InputError(
             "replay",
             f"scenario {name}",
-            "is not there",
+            "is not in the run",
             f"choose one of {', '.join(inputs.scenarios)}",
         )
     limit = round(most_mb * 1e6)
@@ -83,8 +83,8 @@ def write_replay(
         raise InputError(
             "replay",
             "size",
-            f"is {size / 1e6:.1f} MB at least",
-            f"allow more than {most_mb:g} MB",
+            f"is at least {size / 1e6:.1f} MB",
+            f"set `replay_mb` above {most_mb:g}",
         )
     files.write_text(Path(path), html)
     return ReplaySize(size, kept, total)

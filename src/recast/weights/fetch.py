@@ -76,7 +76,7 @@ def fetch(
         raise InputError(
             "weights",
             weights.name,
-            f"have terms to accept ({terms.name}, {terms.link})",
+            f"have licence terms that you must accept ({terms.name}, {terms.link})",
             "read them, then add `accept_licence`",
         )
     partial = files.partial_name(folder)
@@ -185,7 +185,7 @@ def _planned(source: Source, name: str, file: transfer.RemoteFile) -> transfer.R
     pinned = source.sha256.get(name, file.sha256)
     if file.sha256 not in (None, pinned):
         problem = f"have SHA-256 {file.sha256} on the server, recast pins {pinned}"
-        raise InputError(file.address, "bytes", problem, "check the mirror; nothing was fetched")
+        raise InputError(file.address, "bytes", problem, "check the mirror; nothing was downloaded")
     path = f"{source.into}/{name}" if source.into else name
     return file.model_copy(update={"path": path, "sha256": pinned})
 
@@ -220,7 +220,7 @@ def safetensors_of_pickle(folder: Path) -> None:
 
     from recast.core.torch_file import read_tensors
 
-    found = read_tensors(folder / _PICKLE, "weights", "remove the folder and fetch it again")
+    found = read_tensors(folder / _PICKLE, "weights", "remove the folder and download it again")
     apart: dict[str, torch.Tensor] = {}
     memory: set[int] = set()
     for name, tensor in found.items():

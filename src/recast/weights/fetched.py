@@ -103,10 +103,10 @@ def opened(weights: Weights) -> Path:
     folder = weights_folder(weights.name)
     get = f"run `recast weights get {weights.name}`"
     if not (folder / RECORD_FILE).is_file():
-        raise InputError("weights", weights.name, "are not here", get)
+        raise InputError("weights", weights.name, "are not downloaded", get)
     record = read_weights_record(folder)
     if not record.is_of(weights):
-        problem = "are of another version than this recast pins"
+        problem = "have another version than this recast expects"
         raise InputError("weights", weights.name, problem, get)
     verify(folder, record, every_byte=False)
     return folder / weights.opens if weights.opens else folder
@@ -129,7 +129,7 @@ class WeightsRecord(Record):
 
     Attributes:
         name: name in the table.
-        revisions: repository on Hugging Face to the commit that was fetched.
+        revisions: repository on Hugging Face to the commit that was downloaded.
         fetched: what came over the network, by its address at the publisher.
         converter: code that made `files` of it; empty if they are the same.
         files: all files of the folder but this one, by relative name.
@@ -149,7 +149,7 @@ class WeightsRecord(Record):
         return sum(file.size for file in self.files.values())
 
     def is_of(self, weights: Weights) -> bool:
-        """Whether what was fetched is all of an entry, and what it pins."""
+        """Whether what was downloaded is all of an entry, and what it pins."""
         for source in weights.sources:
             commit = self.revisions.get(source.where, "")
             if source.revision not in (None, commit):
@@ -194,12 +194,12 @@ def verify(folder: Path, record: WeightsRecord, every_byte: bool = True) -> None
         path = member(folder, name, folder / RECORD_FILE, "files")
         with files.disk_errors(path):
             if not path.is_file():
-                raise InputError(path, "weights", "lack this file", _mend(folder))
+                raise InputError(path, "weights", "this file is missing", _mend(folder))
             if path.stat().st_size == file.size and seen.get(name) == _stamp(path):
                 continue
             read = True
             if file_record(path) != file:
-                problem = f"changed after {record.name} was fetched"
+                problem = f"changed after {record.name} was downloaded"
                 raise InputError(path, "bytes", problem, _mend(folder))
     if read:
         remember(folder, record)

@@ -263,16 +263,16 @@ def _answers(address: str) -> Iterator[None]:
     except HfHubHTTPError as error:
         status = error.response.status_code
         if status in (401, 403):
-            problem = "asks for a login: it is gated, private or not there"
+            problem = "asks for a login: it is gated, private or missing"
             mend = f"accept its terms at {address}, then `hf auth login` or set HF_TOKEN"
         else:
-            problem = "is not there" if status == 404 else f"answers with HTTP status {status}"
+            problem = "does not exist" if status == 404 else f"answers with HTTP status {status}"
             mend = "check the mirror" if asked != address else "try again later"
         raise InputError(asked, "server", problem, mend) from error
     except Exception as error:  # of the HTTP library, of TLS, of the system
         reason = str(error).strip().splitlines()
         problem = f"does not answer ({type(error).__name__}: {reason[0] if reason else ''})"
-        mend = "check the connection; the same command goes on where it stopped"
+        mend = "check the connection; the same command resumes"
         raise InputError(asked, "network", problem, mend) from error
     finally:
         logging.set_verbosity(level)

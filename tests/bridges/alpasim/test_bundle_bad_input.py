@@ -80,7 +80,7 @@ NAN = float("nan")
 POSES, TIMES = "T_rig_worlds", "T_rig_world_timestamps_us"
 FRAMES = "cameras_frame_timestamps_us"
 CASES: dict[str, tuple[str, Change, str]] = {
-    "nan in a pose": (RIG, rig(put(POSES, 1, 0, 3, NAN)), "NaN is not a number of JSON"),
+    "nan in a pose": (RIG, rig(put(POSES, 1, 0, 3, NAN)), "NaN is not a number that JSON allows"),
     "infinite pose": (RIG, rig(put(POSES, 1, 0, 3, 1e300)), f"{POSES}.1: 1e+300 is not within"),
     "bent pose": (RIG, rig(put(POSES, 2, 0, 0, 1.9)), f"{POSES}.2: is not a rotation"),
     "mirrored": (RIG, rig(put(POSES, 2, np.diag([1.0, 1, -1, 1]).tolist())), "is not a rotation"),
@@ -89,11 +89,11 @@ CASES: dict[str, tuple[str, Change, str]] = {
     "time falls": (RIG, rig(put(TIMES, 2, 5)), f"{TIMES}: must increase strictly"),
     "time of no year": (RIG, rig(put(TIMES, 2, 1 << 60)), f"{TIMES}.2: "),
     "negative time": (RIG, rig(put(TIMES, 0, -5)), f"{TIMES}: -5 is not a time"),
-    "pose is missing": (RIG, rig(lambda one: one[POSES].pop()), "5 poses for 6 times"),
+    "pose is missing": (RIG, rig(lambda one: one[POSES].pop()), "has 5 poses for 6 times"),
     "one pose": (
         RIG,
         rig(lambda one: one.update({POSES: one[POSES][:1], TIMES: one[TIMES][:1]})),
-        "at least two are needed",
+        "at least two of each are needed",
     ),
     "two rigs": (
         RIG,
@@ -105,7 +105,11 @@ CASES: dict[str, tuple[str, Change, str]] = {
     "frames fall": (RIG, rig(put(FRAMES, CAMERA, 1, [1, 2])), f"{FRAMES}.{CAMERA}: "),
     "unknown camera": (RIG, rig(put(FRAMES, "x", [])), f"{FRAMES}.x: is not in camera_cal"),
     "f-theta": (RIG, model(put("type", "ftheta")), "camera_model.type: is 'ftheta'"),
-    "unknown model": (RIG, model(put("type", "x")), "camera_model.type: is 'x'; logs hold"),
+    "unknown model": (
+        RIG,
+        model(put("type", "x")),
+        "camera_model.type: is 'x', but logs can only hold",
+    ),
     "rational": (RIG, model(put("parameters", "radial_coeffs", 3, 0.1)), "beyond k1 k2 p1 p2 k3"),
     "windshield": (
         RIG,
@@ -129,23 +133,31 @@ CASES: dict[str, tuple[str, Change, str]] = {
         "tracks.0.timestamps_us: must increase strictly",
     ),
     "nan in a track": (TRACKS, data(put("tracks_poses", 0, 0, 0, NAN)), "NaN is not a number"),
-    "quaternion": (TRACKS, data(put("tracks_poses", 0, 2, 3, 7.0)), "tracks_poses.0.2: its quat"),
+    "quaternion": (
+        TRACKS,
+        data(put("tracks_poses", 0, 2, 3, 7.0)),
+        "tracks_poses.0.2: the length of its quat",
+    ),
     "zero quaternion": (
         TRACKS,
         data(put("tracks_poses", 0, 1, [0, 0, 0, 0, 0, 0, 0])),
-        "tracks_poses.0.1: its quat",
+        "tracks_poses.0.1: the length of its quat",
     ),
     "far away": (TRACKS, data(put("tracks_poses", 0, 0, 0, 1e9)), "tracks.0.poses: 1e+09"),
     "no labels": (
         TRACKS,
         data(lambda one: one.update(tracks_poses=[[]], tracks_timestamps_us=[[]])),
-        "tracks_poses.0: 0 poses for 0 times",
+        "tracks_poses.0: has 0 poses for 0 times",
     ),
-    "lists differ": (TRACKS, data(put("tracks_flags", [])), "tracks_flags: 0 entries for 1 tracks"),
+    "lists differ": (
+        TRACKS,
+        data(put("tracks_flags", [])),
+        "tracks_flags: has 0 entries for 1 tracks",
+    ),
     "sizes differ": (
         TRACKS,
         put("small", "cuboidtracks_data", "cuboids_dims", []),
-        "cuboids_dims: 0 entries for 1 tracks",
+        "cuboids_dims: has 0 entries for 1 tracks",
     ),
     "flat box": (
         TRACKS,
@@ -161,7 +173,7 @@ CASES: dict[str, tuple[str, Change, str]] = {
                 value["small"]["cuboidtracks_data"]["cuboids_dims"],
             )
         ],
-        "tracks_id.1: 'car 7' is there twice",
+        "tracks_id.1: 'car 7' appears twice",
     ),
     "two sequences": (
         TRACKS,
@@ -230,7 +242,7 @@ def test_members_beyond_their_limit_are_not_read(
 ) -> None:
     large = good[METADATA] + bytes(LIMITS[METADATA])
     line = line_of({**good, METADATA: large}, tmp_path, capsys)
-    assert f"{LIMITS[METADATA]} are read at most" in line
+    assert f"more than {LIMITS[METADATA]}" in line
 
 
 @pytest.mark.parametrize(
@@ -238,7 +250,7 @@ def test_members_beyond_their_limit_are_not_read(
     [
         (("--drive", "other"), "drive other: does not exist; choose one of small"),
         (("--cameras", "back"), "has no camera 'back'; choose one of front"),
-        (("--labels", "x.json"), "a bundle has its own"),
+        (("--labels", "x.json"), "are already in the bundle"),
         (("--no-refine",), "has no option refine"),
     ],
 )

@@ -209,13 +209,15 @@ def test_nuplan_s_cameras_are_rendered_for_a_driver_that_wants_them() -> None:
 
 @pytest.mark.parametrize("words", ["", "host", ":1", "host:x", "host:0", "host:70000", "host:1²"])
 def test_words_without_host_and_port(words: str) -> None:
-    with pytest.raises(InputError, match="names no host and port; give alpasim:HOST:PORT"):
+    with pytest.raises(InputError, match="does not name a host and a port; give alpasim:HOST:PORT"):
         driver_planner(words)
 
 
 @pytest.mark.parametrize("words", ["h:1/,", "h:1/a,a", "h:1/a=", "h:1/=b"])
 def test_words_with_faulty_cameras(words: str) -> None:
-    with pytest.raises(InputError, match=r"is empty or there twice; give names with commas"):
+    with pytest.raises(
+        InputError, match=r"is empty or appears twice; give names separated by commas"
+    ):
         make_planner(f"alpasim:{words}")
 
 

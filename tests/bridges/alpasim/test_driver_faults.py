@@ -106,8 +106,8 @@ def test_all_results_of_a_process_are_of_one_version() -> None:
     with driving(FakeDriver(version="fake-driver-2"), port):
         row = failure_of(setup_of(), planner)
     assert row.reason.endswith(
-        "get_version: the driver is now fake-driver-2, git abc, API 0.54.0, it was fake-driver-1, "
-        "git abc, API 0.54.0; begin again with one driver"
+        "get_version: the driver is now fake-driver-2, git abc, API 0.54.0, but was fake-driver-1, "
+        "git abc, API 0.54.0 before; run again with the same driver throughout"
     )
 
 
@@ -136,7 +136,7 @@ def test_cameras_that_the_driver_refuses_or_the_log_lacks() -> None:
         for cameras, wanted in (
             (["front", "bent"], "submit_image_observation: UNKNOWN: Camera bent not in desired"),
             (["bent"], r"start_session: UNKNOWN: Requested cameras \['front'\] are missing"),
-            (["rear"], r"planner alpasim:.*: camera rear: is needed and not there"),
+            (["rear"], r"planner alpasim:.*: camera rear: is needed but missing"),
         ):  # fmt: skip
             with pytest.raises(InputError, match=wanted):
                 run_rollout(setup_of(), planner_of(port, cameras), Noise(MOUNTS))

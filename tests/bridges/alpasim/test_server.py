@@ -164,9 +164,9 @@ def test_garbage_and_what_is_not_there_have_a_status_each() -> None:
         )
         assert status(server.port, "shut_down", b"")[0] is grpc.StatusCode.UNIMPLEMENTED
         for method, words in (
-            ("render_lidar", "recast renders no LiDAR"),
-            ("get_loaded_scenes", "ask get_available_scenes"),
-            ("get_available_trajectories", "recast serves no trajectories"),
+            ("render_lidar", "recast does not render LiDAR"),
+            ("get_loaded_scenes", "call get_available_scenes"),
+            ("get_available_trajectories", "recast does not serve trajectories"),
         ):
             code, details = status(server.port, method, b"\xff")
             assert code is grpc.StatusCode.UNIMPLEMENTED
@@ -385,7 +385,9 @@ def test_there_is_no_server() -> None:
 def test_a_port_that_is_taken_is_refused() -> None:
     with (
         serving() as server,
-        pytest.raises(InputError, match="cannot be listened on; choose a free port"),
+        pytest.raises(
+            InputError, match="is in use or is not an address of this machine; choose a free port"
+        ),
         serving(port=server.port),
     ):
         pass

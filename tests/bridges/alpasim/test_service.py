@@ -185,7 +185,7 @@ def test_a_track_without_a_model_is_told_of_once(
         for _ in range(2):
             np.testing.assert_array_equal(image_of(service, dynamic_objects=[stranger]), drawn())
     assert [r.getMessage() for r in caplog.records] == [
-        f"scene {SCENE} has no model of track 'a bus': it is not drawn"
+        f"scene {SCENE} has no model of track 'a bus': the track is not rendered"
     ]
 
 
@@ -277,7 +277,7 @@ BAD = {
     "longer than a JPEG file can be": (
         {"resolution_h": 1, "resolution_w": 65_501, "image_format": 2},
         "INVALID_ARGUMENT",
-        "within 1 and 65500 pixels a side",
+        "expected 1 to 65500 pixels for each",
     ),
     "size": ({"resolution_h": 1 << 31, "resolution_w": 1 << 31}, "RESOURCE_EXHAUSTED", "pixels"),
     "no camera": ({"camera_intrinsics": None}, "INVALID_ARGUMENT", "camera_intrinsics: is missing"),
@@ -290,7 +290,7 @@ BAD = {
         {"camera_intrinsics": spec(focal_length_x=float("nan"))}, "INVALID_ARGUMENT", "fx, fy"
     ),
     "short": (
-        {"camera_intrinsics": spec(focal_length_y=1e-300)}, "INVALID_ARGUMENT", "lengths of 30"
+        {"camera_intrinsics": spec(focal_length_y=1e-300)}, "INVALID_ARGUMENT", "lengths 30"
     ),
     "radial": ({"camera_intrinsics": long_spec()}, "INVALID_ARGUMENT", "radial_coeffs: has 7"),
     "steep": ({"camera_intrinsics": STEEP}, "INVALID_ARGUMENT", "needs pinhole images of over"),
@@ -299,11 +299,11 @@ BAD = {
         {"sensor_pose": message("PosePair", start_pose=pose_message(POSE))},
         "INVALID_ARGUMENT", "sensor_pose.end_pose: is missing",
     ),
-    "far pose": ({"sensor_pose": far()}, "INVALID_ARGUMENT", "end_pose.vec: not finite"),
-    "quaternion": ({"sensor_pose": unturned()}, "INVALID_ARGUMENT", "quat: is not of length 1"),
+    "far pose": ({"sensor_pose": far()}, "INVALID_ARGUMENT", "end_pose.vec: is not finite"),
+    "quaternion": ({"sensor_pose": unturned()}, "INVALID_ARGUMENT", "quat: does not have length 1"),
     "times": ({"frame_end_us": TIME - 1}, "INVALID_ARGUMENT", "is before frame_start_us"),
     "late": ({"frame_end_us": 1 << 63}, "INVALID_ARGUMENT", "is not a time"),
-    "mask": ({"insert_ego_mask": True}, "INVALID_ARGUMENT", "there are no ego masks"),
+    "mask": ({"insert_ego_mask": True}, "INVALID_ARGUMENT", "recast has no ego masks"),
     "format": ({"image_format": 6}, "INVALID_ARGUMENT", "image_format: is 6"),
     "quality": ({"image_quality": 101.0}, "INVALID_ARGUMENT", "image_quality"),
     "actor twice": ({"dynamic_objects": TWICE}, "INVALID_ARGUMENT", "'x' is named twice"),
@@ -334,8 +334,8 @@ def test_bad_calls_have_a_clear_status(service: SensorsimService) -> None:
         ("render_rgb", b"\xff\xff\xff", "INVALID_ARGUMENT", "cannot be read as RGBRenderRequest"),
         ("get_available_cameras", b"", "NOT_FOUND", "scene_id: ''"),
         ("batch_render_rgb", twice.SerializeToString(), "INVALID_ARGUMENT", "twice"),
-        ("render_aggregated", lidar.SerializeToString(), "UNIMPLEMENTED", "no LiDAR"),
-        ("render_aggregated", many.SerializeToString(), "RESOURCE_EXHAUSTED", "pixels are asked"),
+        ("render_aggregated", lidar.SerializeToString(), "UNIMPLEMENTED", "not render LiDAR"),
+        ("render_aggregated", many.SerializeToString(), "RESOURCE_EXHAUSTED", "pixels are"),
     ):  # fmt: skip
         with pytest.raises(RefusedError, match=details) as refused:
             service.answer(method, data)
@@ -364,7 +364,7 @@ def test_a_reply_that_no_message_holds_is_refused(monkeypatch: pytest.MonkeyPatc
     monkeypatch.setattr("recast_bridges.alpasim.server.MOST_BYTES", 5000)
     service = SensorsimService(ScenePainter(served(), "cpu"))
     both = message("AggregatedRenderRequest", rgb_requests=[request(), request()])
-    with pytest.raises(RefusedError, match="the images have over 5000 bytes") as refused:
+    with pytest.raises(RefusedError, match="the images have more than 5000 bytes") as refused:
         service.answer("render_aggregated", both.SerializeToString())
     assert refused.value.code == "RESOURCE_EXHAUSTED"
 

@@ -154,28 +154,28 @@ def test_cameras_by_yaw_and_by_frame() -> None:
 
 def test_a_camera_that_nothing_looks_like_is_named() -> None:
     planner = NavsimPlanner(Recorder(SensorConfig(cam_b0=[3])))
-    message = r"^planner my-agent: camera cam_b0: is wanted, .* of 180 .*there are front \(ahead, 6"
+    message = r"^planner my-agent: camera cam_b0: is needed, .* of 180 .*there are front \(ahead, 6"
     with pytest.raises(InputError, match=message):
         _run(planner)
 
 
 def test_each_camera_stands_for_one_only() -> None:
     planner = NavsimPlanner(Recorder(SensorConfig(cam_f0=[3], cam_l0=[3])))
-    with pytest.raises(InputError, match="camera cam_l0: is wanted"):
+    with pytest.raises(InputError, match="camera cam_l0: is needed"):
         planner_cameras(planner, {"a": WAYMO["front"], "b": WAYMO["front"]})
 
 
 def test_named_cameras() -> None:
     planner = NavsimPlanner(Recorder(SensorConfig(cam_f0=[3])), cameras=NUPLAN_RIG)
     assert planner.camera_names == ("nuplan_f0",)
-    with pytest.raises(InputError, match="camera nuplan_f0: is needed and not there"):
+    with pytest.raises(InputError, match="camera nuplan_f0: is needed but missing"):
         _run(planner)
-    with pytest.raises(InputError, match="camera cam_b0: is needed and not there; there are cam_l"):
+    with pytest.raises(InputError, match="camera cam_b0: is needed but missing; render it"):
         NavsimPlanner(Recorder(SensorConfig(cam_b0=[3])), cameras=NUPLAN_RIG)
 
 
 def test_past_images_need_plans_that_fall_on_them() -> None:
-    with pytest.raises(InputError, match=r"camera cam_f0: is wanted every 0.5 s and rendered"):
+    with pytest.raises(InputError, match=r"camera cam_f0: is needed every 0.5 s, but rendered"):
         _run(NavsimPlanner(Recorder(SensorConfig(cam_f0=[1]))), plan_every=3)
     agent = Recorder(SensorConfig(cam_f0=[3]))
     _run(NavsimPlanner(agent), plan_every=3)
@@ -185,8 +185,8 @@ def test_past_images_need_plans_that_fall_on_them() -> None:
 @pytest.mark.parametrize(
     ("config", "message"),
     [
-        (SensorConfig(lidar_pc=[3]), "lidar_pc: is wanted, and no LiDAR is simulated"),
-        (SensorConfig(cam_f0=[4]), "sensor config, cam_f0: wants frame 4; there are frames 0"),
+        (SensorConfig(lidar_pc=[3]), "lidar_pc: is requested, but LiDAR is not simulated"),
+        (SensorConfig(cam_f0=[4]), "sensor config, cam_f0: requests frame 4; request frames 0"),
     ],
 )
 def test_sensors_that_there_are_not(config: SensorConfig, message: str) -> None:
@@ -219,10 +219,10 @@ def _trajectory(poses: Any, interval: float = 0.5) -> Any:
         (None, "returned NoneType; return a Trajectory"),
         (np.zeros((8, 3)), "returned ndarray; return a Trajectory"),
         (_trajectory(np.zeros((8, 2))), r"its poses have shape \(8, 2\)"),
-        (_trajectory(np.zeros((6, 3))), "its 6 poses every 0.5 s end at 3 s, 4 s are needed"),
+        (_trajectory(np.zeros((6, 3))), "its 6 poses every 0.5 s end at 3 s, but 4 s are needed"),
         (_trajectory(np.full((8, 3), np.nan)), "pose 0 holds NaN"),
         (_trajectory([[0.0], [1.0, 2.0]]), "not an array of numbers"),
-        (_trajectory(np.zeros((8, 3)), 0.0), "its poses are 0.0 s apart"),
+        (_trajectory(np.zeros((8, 3)), 0.0), "the interval of its poses is 0.0 s"),
     ],
 )
 def test_wrong_answers(answer: Any, message: str) -> None:

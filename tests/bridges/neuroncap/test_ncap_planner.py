@@ -161,7 +161,7 @@ def test_cameras_are_found_by_name_then_by_direction() -> None:
     }  # fmt: skip
     assert ncap_cameras(rig(CAM_FRONT=10, other=0)) == {"CAM_FRONT": "CAM_FRONT"}
     bent = {"bent": CameraMount(BENT, RIG_FROM_CAMERA)}
-    with pytest.raises(InputError, match="CAM_FRONT: no camera stands for it"):
+    with pytest.raises(InputError, match="CAM_FRONT: no camera of the log corresponds to it"):
         make_planner("neuroncap:127.0.0.1:9000").choose_cameras({**bent, **rig(d=180)})
 
 
@@ -197,7 +197,7 @@ def test_a_plan_that_goes_back_is_driven_backwards() -> None:
     np.testing.assert_allclose(back[:, 2], np.arctan(0.1), atol=1e-12)
 
 
-TOO_SHORT = "trajectory has 5 points, not 6 to 100 points"
+TOO_SHORT = "trajectory has 5 points, expected 6 to 100 points"
 
 
 @pytest.mark.parametrize(
@@ -245,11 +245,11 @@ def test_faults_of_the_program_are_one_line(
         return fake.drive(body)
 
     fake.answer = empty
-    assert "/infer: its answer: trajectory has 0 points" in failing(fake, address)
+    assert "/infer: gave an invalid answer: trajectory has 0 points" in failing(fake, address)
     fake.answer = broken
     assert "answered 500 Internal Server Error: CUDA out of memory" in failing(fake, address)
     fake.answer = lambda body: Response("NaN")
-    assert "/infer: its answer cannot be read (NaN is not a number of JSON)" in failing(
+    assert "/infer: its answer cannot be read (NaN is not a number that JSON allows)" in failing(
         fake, address
     )
     monkeypatch.setattr(module, "INFER_S", 0.2)
@@ -261,7 +261,7 @@ def test_nobody_there(monkeypatch: pytest.MonkeyPatch) -> None:
     with planning() as (_, address):
         pass
     monkeypatch.setattr(module, "ALIVE_S", 0.3)
-    assert "/alive: nobody listens there" in failing(FakePlanner(), address)
+    assert "/alive: no program listens there" in failing(FakePlanner(), address)
 
 
 def test_a_program_that_comes_late_is_waited_for(
@@ -275,7 +275,7 @@ def test_a_program_that_comes_late_is_waited_for(
         def send(self, method: Any, path: str, *rest: Any, **limits: Any) -> bytes:
             tries.append(path)
             if len(tries) < 3:
-                raise InputError("planner", path, "nobody listens there", "start it")
+                raise InputError("planner", path, "no program listens there", "start it")
             return sent(method, path, *rest, **limits)
 
     monkeypatch.setattr(planner, "_service", Late())

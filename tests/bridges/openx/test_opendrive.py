@@ -308,8 +308,8 @@ def test_degenerate_lanes(name: str, tmp_path: Path) -> None:
     [
         ("<line />", "<spiral />", "lacks line"),
         ('code="lane_id"', 'code="other"', "lacks userData lane_id"),
-        ('elementId="1"', 'elementId="77"', "not there"),
-        ('incomingRoad="1"', 'incomingRoad="77"', "not there"),
+        ('elementId="1"', 'elementId="77"', "does not exist"),
+        ('incomingRoad="1"', 'incomingRoad="77"', "does not exist"),
         ("laneOffset", "other", "lacks lanes/laneOffset"),
         ('hdg="', 'hdg="nan', "hdg"),
     ],

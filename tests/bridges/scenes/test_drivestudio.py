@@ -147,7 +147,7 @@ def test_actors_can_be_named_or_left_out(log: DrivingLog, tmp_path: Path) -> Non
         path, log, tmp_path / "scene", first_frame=FIRST, tracks=names, leave_out=("0",)
     )
     assert record.tracks == {"1": made.PARKED}
-    assert "actor 0: asked to be left out" in record.left_out
+    assert "actor 0: left out as requested" in record.left_out
     with pytest.raises(InputError, match="actor 9: is not in the checkpoint"):
         import_drivestudio(path, log, tmp_path / "b", first_frame=FIRST, leave_out=("9",))
 

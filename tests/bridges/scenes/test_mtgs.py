@@ -71,8 +71,10 @@ def test_absent_frames_and_what_is_not_carried_over_are_told(
     assert list(scene.actors[made.CAR].trajectory.timestamps_us) == times
     assert made.CAR not in scene.actor_poses(int(made.TIMES[0]))
     assert made.CAR in scene.actor_poses(int(made.TIMES[5]))
-    assert f"{made.CAR}: absent for a while there, interpolated here" in record.changed
-    assert "walker: asked to be left out" in record.left_out
+    assert (
+        f"{made.CAR}: absent for a while in the scene; interpolated in the import" in record.changed
+    )
+    assert "walker: left out as requested" in record.left_out
     assert any(line.startswith("1 actors of other drives") for line in record.left_out)
     again = import_mtgs(tmp_path / NAME / "background" / f"{NAME}.ckpt", log, tmp_path / "b")
     assert any(line.startswith("na_deform_walker: a Deformable") for line in again.left_out)
@@ -128,7 +130,7 @@ def test_the_recorded_frames_are_compared_with_the_log(log: DrivingLog, tmp_path
     far = import_mtgs(save(tmp_path / "b", checkpoint(), frames(2.5)), log, tmp_path / "far")
     assert far.warnings == ["the ego of the scene is 2.50 m from the log's"]
     other = save(tmp_path / "c", checkpoint(), frames(later_us=10**9))
-    with pytest.raises(InputError, match="none is in log drive"):
+    with pytest.raises(InputError, match="no frame is in log drive"):
         import_mtgs(other, log, tmp_path / "other")
     assert np.allclose(np.array(fine.world_from_scene)[:3, 3], RECON_FROM_OFFSET, rtol=0, atol=1e-9)
 

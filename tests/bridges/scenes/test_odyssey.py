@@ -175,7 +175,7 @@ def test_the_saved_ego_is_compared_with_the_log(far_log: DrivingLog, tmp_path: P
     record = import_mtgs(save(tmp_path / "a", content), far_log, tmp_path / "b")
     assert record.warnings == ["the ego of the scene is 2.50 m from the log's"]
     content["background"]["config"]["omnire_calibration"] = calibration(later_us=10**9)
-    with pytest.raises(InputError, match=r"scene\.ckpt: timestamp: none is in log drive"):
+    with pytest.raises(InputError, match=r"scene\.ckpt: timestamp: no frame is in log drive"):
         import_mtgs(save(tmp_path / "c", content), far_log, tmp_path / "d")
 
 

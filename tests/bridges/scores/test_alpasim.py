@@ -191,5 +191,5 @@ def test_the_place_in_the_world_does_not_matter():
 
 def test_why_there_is_no_value():
     assert alpasim_scene_score(drive(), None).score.reason == "no drivable area in the map"
-    assert score(drive().first(1)).score.reason == "fewer than three states"
+    assert score(drive().first(1)).score.reason == "the rollout has fewer than three states"
     assert score(drive().first(1)).to_json()["largest_distance_m"] is None

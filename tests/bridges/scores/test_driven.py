@@ -47,7 +47,7 @@ def test_plans_that_reach_a_standing_car_score_nothing():
     found = driven_epdms(drive(actor=standing(60.0)), hd_road())
     assert found.scores.no_collision.tolist() == [1, 1, 1, 0, 0, 0, 0, 0]
     assert found.per_plan[3:].tolist() == [0.0] * 5
-    assert found.mean.reason == "least, 0.00, at step 15"
+    assert found.mean.reason == "lowest score 0.00 at step 15"
 
 
 def test_a_plan_unlike_the_one_before_is_uncomfortable_in_both_pairs():
@@ -97,7 +97,11 @@ def test_the_place_in_the_world_does_not_matter():
     ("rollout", "hd_map", "reason"),
     [
         (drive(), None, "no lanes in the map"),
-        (drive(dt=0.2), hd_road(), "NAVSIM's rules are for steps of 0.1 s, these are of 0.2 s"),
+        (
+            drive(dt=0.2),
+            hd_road(),
+            "NAVSIM's rules need steps of 0.1 s, but the drive has steps of 0.2 s",
+        ),
         (
             drive(predictions=np.zeros((0, 40, 3)), plan_steps=np.zeros(0, np.int64)),
             hd_road(),

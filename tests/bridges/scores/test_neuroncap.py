@@ -43,7 +43,7 @@ def test_what_is_left_of_the_speed_costs_stars():
     found = neuroncap_score(make_rollout(**braking(10.0, 3.0), actor=coming(20.0, 0.0)))
     assert found.impact_speed == pytest.approx(4.0)
     assert found.score.value == pytest.approx(4 * (1 - 4.0 / 10.0))
-    assert found.score.reason == "meets the actor at step 20 with 4.0 of 10.0 m/s"
+    assert found.score.reason == "hits the actor at step 20 at 4.0 m/s (reference 10.0 m/s)"
 
 
 def test_no_reaction_scores_nothing():
@@ -79,7 +79,7 @@ def test_the_first_actor_that_is_met_counts():
     # 5.70 m apart: after 0.5 s 5.63 m are covered together, after 0.6 s 6.66 m. The ego has 8.2 m/s
     # left then.
     assert found.impact_speed == pytest.approx(8.2 + 2.0)
-    assert found.score.reason.startswith("meets actor 8 at step 6")
+    assert found.score.reason.startswith("hits actor 8 at step 6")
     assert found.reference_speed == pytest.approx(10.0)  # the target's
 
 

@@ -113,5 +113,5 @@ def test_a_run_without_rollouts_is_refused(tiny_log_folder: Path, tmp_path: Path
         "hash",
         str(tmp_path / "store"),
     )
-    with pytest.raises(InputError, match="has none yet"):
+    with pytest.raises(InputError, match="do not exist yet"):
         score_run(tmp_path / "run")

@@ -125,7 +125,7 @@ def test_the_table_has_navsims_rows_and_columns(tmp_path):
     ("made", "message"),
     [
         (tokens()[1:], "token 'a' was not scored"),
-        ([*tokens(), tokens()[0]], "a token is scored twice"),
+        ([*tokens(), tokens()[0]], "two scores have the same token"),
         ([replace(tokens()[0], start_s=0.7), *tokens()[1:]], r"interval 0\.7 s"),
     ],
 )

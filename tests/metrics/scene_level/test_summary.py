@@ -145,8 +145,8 @@ def test_scenes_that_cannot_count_say_why() -> None:
     unseen = {**made_up(0), "drawn": np.zeros(IMAGES, np.bool_)}
     assert "rendered" in str(replace(one, arms={"native": unseen}).problem())
     fewer = {"native": {name: array[:5] for name, array in made_up(0).items()}}
-    assert "other images" in str(replace(one, arms=fewer).problem())
-    with pytest.raises(InputError, match="none counts"):
+    assert "different images" in str(replace(one, arms=fewer).problem())
+    with pytest.raises(InputError, match="none could be measured"):
         table({})
 
 
@@ -174,7 +174,7 @@ def test_features_come_back_and_damage_is_one_line(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="cannot be read"):
         load_features(path)
     save_features({**given, "lpips": np.zeros(3)}, path)
-    with pytest.raises(InputError, match="lpips: has 3 rows, not 12"):
+    with pytest.raises(InputError, match="lpips: has 3 rows, expected 12"):
         load_features(path)
     with pytest.raises(InputError, match="is missing"):
         load_features(tmp_path / "none.npz")

@@ -157,8 +157,8 @@ def test_a_missing_camera_is_named_before_anything_is_rendered(
 ) -> None:
     mounts = {name: mount for name, mount in context.cameras.items() if name != "front_right"}
     message = (
-        r"^planner tiny: view front_right: is 45 degrees right, 62 wide at 48:32, and no camera "
-        r"shows it; there are front_left \(45 degrees left, 62 wide\), front \(ahead, 62 wide\)"
+        r"^planner tiny: view front_right: is 45 degrees right, 62 wide at 48:32, but no camera "
+        r"shows it; add recast.* there are front_left \(45 degrees left, 62 wide\), front \(ahead"
     )
     with pytest.raises(InputError, match=message):
         planner.reset(replace(context, cameras=mounts))
@@ -169,7 +169,7 @@ def test_a_missing_camera_is_named_before_anything_is_rendered(
 def test_other_sizes_and_steps_are_refused(planner: GtrsPlanner, context: PlanningContext) -> None:
     mount = context.cameras["front"]
     large = CameraMount(mount.camera.resized(96, 64), mount.rig_from_camera)  # one of three
-    with pytest.raises(InputError, match="view front: is ahead, 62 wide at 48:32, and no camera"):
+    with pytest.raises(InputError, match="view front: is ahead, 62 wide at 48:32, but no camera"):
         planner.reset(replace(context, cameras={**context.cameras, "front": large}))
     with pytest.raises(InputError, match=r"dt: is 0.2 s"):
         planner.reset(replace(context, dt=0.2))

@@ -75,7 +75,7 @@ def test_nothing_is_cropped_where_nothing_should_be() -> None:
 
 def test_bad_images_are_named() -> None:
     images = {name: np.zeros((32, 48, 3), np.uint8) for name in VIEWS.cameras}
-    with pytest.raises(InputError, match=r"^planner x: camera front: .* there are front_left;"):
+    with pytest.raises(InputError, match=r"^planner x: camera front: .* there are front_left"):
         VIEWS.stitch({"front_left": images["front_left"]}, "planner x")
     for bad in (np.zeros((32, 47, 3), np.uint8), np.zeros((32, 48, 3), np.float32)):
         with pytest.raises(InputError, match=r"camera front_right: gives .*give \(32, 48, 3\)"):
@@ -113,12 +113,12 @@ def test_the_small_models_layout() -> None:
 
 def test_other_proportions_and_mixed_sizes_are_refused() -> None:
     sizes = dict.fromkeys(WAYMO_NATIVE.cameras, (1242, 375))
-    with pytest.raises(InputError, match=r"^planner x: camera front_left: renders 1242x375, the p"):
+    with pytest.raises(InputError, match=r"^planner x: camera front_left: renders 1242x375, but"):
         WAYMO_NATIVE.fitted(sizes, "planner x")
     sizes = dict.fromkeys(WAYMO_NATIVE.cameras, (960, 640)) | {"front": (480, 320)}
     with pytest.raises(InputError, match="camera front: renders 480x320"):
         WAYMO_NATIVE.fitted(sizes)
-    with pytest.raises(InputError, match="camera front_left: is needed and not there"):
+    with pytest.raises(InputError, match="camera front_left: is needed but missing"):
         WAYMO_NATIVE.fitted({"front": (960, 640)})
 
 

@@ -197,7 +197,7 @@ def test_a_route_off_the_map_is_refused():
 
 
 def test_a_map_without_lanes_is_refused():
-    with pytest.raises(InputError, match="there are none"):
+    with pytest.raises(InputError, match="lanes: are missing"):
         planner_map(replace(junction(), lanes={}))
 
 

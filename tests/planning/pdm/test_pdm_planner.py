@@ -126,9 +126,9 @@ def test_bad_input_is_one_line():
     planner = PdmClosedPlanner()
     with pytest.raises(RuntimeError, match="call reset first"):
         planner.plan(observe(start(5.0)))
-    with pytest.raises(InputError, match="map: the log has none"):
+    with pytest.raises(InputError, match="map: the log has no map"):
         planner.reset(context(None))
-    with pytest.raises(InputError, match="lanes: there are none"):
+    with pytest.raises(InputError, match="lanes: are missing"):
         planner.reset(context(replace(road(), lanes={})))
     off = HdMap({"far": road_lane("far", 40.0)}, ())
     with pytest.raises(InputError, match="no lane of the map lies within"):

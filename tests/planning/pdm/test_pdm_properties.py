@@ -157,7 +157,7 @@ def test_stretch_of_a_path():
 
 
 def test_bad_input_is_one_line():
-    with pytest.raises(InputError, match="there are none"):
+    with pytest.raises(InputError, match="lanes: are missing"):
         PdmClosed(PlannerMap({}), ["R1"])
     with pytest.raises(InputError, match="lacks block 'R7'"):
         PdmClosed(golden_map(), ["R1", "R7"])

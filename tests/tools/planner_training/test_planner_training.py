@@ -138,7 +138,7 @@ def test_a_training_may_begin_from_a_planner(small_dataset: Path, tmp_path: Path
         torch.testing.assert_close(ended.state_dict()[name], value, rtol=0, atol=1e-6)
     with pytest.raises(InputError, match="start_sha256"):  # it is another training without it
         train_planner(small_dataset, then, still, QUIET)
-    with pytest.raises(InputError, match="other sizes"):
+    with pytest.raises(InputError, match="other network sizes"):
         bigger = still.model_copy(update={"network": MINI})
         train_planner(small_dataset, tmp_path / "third", bigger, QUIET, tmp_path / "planner")
 
@@ -225,5 +225,5 @@ def test_the_store_knows_twins_and_holds_out_whole_worlds(small_dataset: Path) -
     assert set(store.worlds[store.held_out]) == {9}
     assert store.image(3).shape == (128, 512, 3)
     assert truth_sheet(store, 0, 3).shape == (3 * 128, 512 + 256, 3)
-    with pytest.raises(InputError, match="there are 20"):
+    with pytest.raises(InputError, match="choose from the 20"):
         truth_sheet(store, 18, 3)

@@ -118,7 +118,9 @@ def probe(request: ProbeRequest, on_row: Callable[[ProbeRow], None]) -> list[Pro
     source = planner_source(request.planner)
     planner = make_planner(request.planner, request.device)
     if not planner.needs_images:
-        raise InputError("planner", planner.name, "reads no images", "probe one that does")
+        raise InputError(
+            "planner", planner.name, "does not use images", "give a planner that uses images"
+        )
     width, height = _SIZE
     wanted = {
         (view.camera.width, view.camera.height) for view in whole_planner(planner).wanted_views

@@ -104,11 +104,14 @@ def export_bundle(
     path, vehicle = Path(path), vehicle or VehicleParameters()
     if path.suffix != SUFFIX:
         problem = f"does not end in {SUFFIX}"
-        raise InputError(path, "file name", problem, "AlpaSim's runtime finds no other bundle")
+        mend = f"end the name in {SUFFIX}, or AlpaSim's runtime does not find the bundle"
+        raise InputError(path, "file name", problem, mend)
     if path.exists():
-        raise InputError(path, "output file", "exists already", "name another one or remove it")
+        raise InputError(
+            path, "output file", "exists already", "name another file or remove this one"
+        )
     scene = log.name if scene_id is None else scene_id
-    with refused(f"log {log.name}", "correct the data that the log was made of"):
+    with refused(f"log {log.name}", "correct the data from which the log was made"):
         log.validate()
     with refused("`scene`", "give another id"):
         check_name("scene id", scene)

@@ -58,7 +58,7 @@ NO_CAMERA = "none"
 _UNIT = 1e-3
 """Farthest that the norm of a quaternion, or an entry of a rotation, may be off: all were float32
 once."""
-_MEND = "give a bundle that AlpaSim reads"
+_MEND = "give a bundle that AlpaSim can read"
 
 
 @returns_valid
@@ -80,7 +80,9 @@ def load_alpasim(
             can have; a camera is no pinhole camera with k1 k2 p1 p2 k3; there are labels.
     """
     if labels is not None:
-        raise InputError("importer", "`labels`", "a bundle has its own", "leave them out")
+        raise InputError(
+            "importer", "`labels`", "are already in the bundle", "leave the option out"
+        )
     members = read_usdz(root, LIMITS)
     for name in (METADATA, RIG, TRACKS):
         if name not in members:
@@ -122,8 +124,8 @@ def _ego(where: Path, rig: RigTrajectory) -> Trajectory:
         times = np.array(rig.T_rig_world_timestamps_us, np.int64)
         checks.check_times(f"{field}.T_rig_world_timestamps_us", times)
         if len(times) < 2 or len(rig.T_rig_worlds) != len(times):
-            counts = f"{len(rig.T_rig_worlds)} poses for {len(times)} times"
-            raise ValueError(f"{field}.T_rig_worlds: {counts}, at least two are needed")
+            counts = f"has {len(rig.T_rig_worlds)} poses for {len(times)} times"
+            raise ValueError(f"{field}.T_rig_worlds: {counts}, at least two of each are needed")
         poses = _rigid(f"{field}.T_rig_worlds", rig.T_rig_worlds, checks.WORLD_REACH)
         jump = first_jump(times, poses)
         if jump is not None:
@@ -154,13 +156,15 @@ def _cameras(where: Path, rig: RigTrajectories, wanted: Sequence[str]) -> dict[s
             if key not in rig.camera_calibrations:
                 raise ValueError(f"{field}.{key}: is not in camera_calibrations")
             if np.any(at[:, 1] <= at[:, 0]) or np.any(np.diff(at[:, 1]) <= 0):
-                raise ValueError(f"{field}.{key}: frames end before they begin, or out of order")
+                raise ValueError(
+                    f"{field}.{key}: frames end before they begin, or are out of order"
+                )
     keys: dict[str, str] = {}
     for key in frames:
         name = rig.camera_calibrations[key].logical_sensor_name
         if name in keys:
             at_key = f"camera_calibrations.{key}.logical_sensor_name"
-            raise InputError(where, at_key, f"{name!r} is there twice", _MEND)
+            raise InputError(where, at_key, f"{name!r} appears twice", _MEND)
         keys[name] = key
     if tuple(wanted) == (NO_CAMERA,) and NO_CAMERA not in keys:
         return {}
@@ -174,7 +178,7 @@ def _camera(
     field, calibration = f"camera_calibrations.{key}", calibrations[key]
     model, mend = calibration.camera_model, "name the cameras to import, or none, with `cameras`"
     if model.type not in (PINHOLE, "pinhole"):
-        problem = f"is {model.type!r}; logs hold {PINHOLE} cameras"
+        problem = f"is {model.type!r}, but logs can only hold {PINHOLE} cameras"
         raise InputError(where, f"{field}.camera_model.type", problem, mend)
     try:
         param = PinholeParameters.model_validate(model.parameters)
@@ -184,7 +188,7 @@ def _camera(
         raise InputError(where, at, fault.problem, _MEND) from None
     k1, k2, k3, *rest = param.radial_coeffs
     if any((*rest, *param.thin_prism_coeffs)) or param.external_distortion_parameters is not None:
-        problem = "has coefficients beyond k1 k2 p1 p2 k3, which logs do not hold"
+        problem = "has coefficients beyond k1 k2 p1 p2 k3, which logs cannot hold"
         raise InputError(where, f"{field}.camera_model.parameters", problem, mend)
     distortion = (k1, k2, *param.tangential_coeffs, k3)
     camera = PinholeCamera(
@@ -204,12 +208,12 @@ def _tracks(where: Path, sequence: TrackSequence, ego: Trajectory) -> dict[str, 
     lists = {name: getattr(data, name) for name in type(data).model_fields}
     for name, values in (*lists.items(), ("cuboids_dims", sizes)):
         if len(values) != len(data.tracks_id):
-            problem = f"{len(values)} entries for {len(data.tracks_id)} tracks"
+            problem = f"has {len(values)} entries for {len(data.tracks_id)} tracks"
             raise InputError(where, name, problem, _MEND)
     tracks: dict[str, Track] = {}
     for index, key in enumerate(data.tracks_id):
         if key in tracks:
-            raise InputError(where, f"tracks_id.{index}", f"{key!r} is there twice", _MEND)
+            raise InputError(where, f"tracks_id.{index}", f"{key!r} appears twice", _MEND)
         with refused(where, _MEND):
             trajectory = _trajectory(data, index)
             category = CATEGORIES.get(data.tracks_label_class[index], UNKNOWN)
@@ -228,10 +232,10 @@ def _trajectory(data: TracksData, index: int) -> Trajectory:
     times = np.array(data.tracks_timestamps_us[index], np.int64)
     rows = np.array(data.tracks_poses[index], np.float64).reshape(-1, 7)
     if len(rows) != len(times) or not len(times):
-        raise ValueError(f"{field}: {len(rows)} poses for {len(times)} times")
+        raise ValueError(f"{field}: has {len(rows)} poses for {len(times)} times")
     off = np.abs(np.linalg.norm(rows[:, 3:], axis=1) - 1.0)
     if not np.all(off <= _UNIT):
         wrong = int(np.argmin(off <= _UNIT))
-        raise ValueError(f"{field}.{wrong}: its quaternion is not of length 1")
+        raise ValueError(f"{field}.{wrong}: the length of its quaternion is not 1")
     rotations = se3.quat_to_matrix(rows[:, [6, 3, 4, 5]])
     return Trajectory(times, se3.from_rotation_translation(rotations, rows[:, :3]))

@@ -107,7 +107,7 @@ class ServiceClient(Closing):
             try:
                 return parse(reply, ask(data, timeout=deadline))
             except DecodeError:
-                problem = f"answered with what is not a {reply}"
+                problem = f"answered with data that is not a {reply}"
                 raise InputError(self.address, method, problem, _MEND) from None
             except grpc.RpcError as error:
                 if error.code() is not grpc.StatusCode.UNAVAILABLE or pause is None:

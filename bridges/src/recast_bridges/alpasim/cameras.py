@@ -31,7 +31,7 @@ def read_camera(spec: Any, where: str, ftheta_centre: float = FTHETA_CENTRE) -> 
     named = [name for name in _MODELS if spec.HasField(name)]
     if len(named) != 1:
         raise ValueError(
-            f"{where}: has {len(named)} camera models, not one of {', '.join(_MODELS)}"
+            f"{where}: has {len(named)} camera models, expected one of {', '.join(_MODELS)}"
         )
     if spec.HasField("bivariate_windshield_model_param"):
         raise ValueError(f"{where}.bivariate_windshield_model_param: is not supported")

@@ -126,7 +126,7 @@ class SensorsimRenderer(Mounted, Closing):
         found = {item.camera_name: item.result.image_bytes for item in reply.items}
         if len(reply.items) != len(names) or set(found) != set(names):
             shown = ", ".join(item.camera_name for item in reply.items) or "nothing"
-            raise self._fault(", ".join(names), f"were asked for, the reply has {shown}")
+            raise self._fault(", ".join(names), f"were requested, but the reply has {shown}")
         return {name: self._image(name, found[name]) for name in names}
 
     def _request(self, state: SimState, name: str) -> Any:
@@ -164,7 +164,8 @@ class SensorsimRenderer(Mounted, Closing):
                 data, self._format, size, f"{self._client.address}, {name}", "the request"
             )
         if len(data) != 3 * camera.width * camera.height:
-            raise self._fault(name, f"has {len(data)} bytes, {size[0]}x{size[1]} pixels were asked")
+            problem = f"has {len(data)} bytes, but {size[0]}x{size[1]} pixels were requested"
+            raise self._fault(name, problem)
         planes = np.frombuffer(data, np.uint8).reshape(3, camera.height, camera.width)
         return np.ascontiguousarray(np.moveaxis(planes, 0, -1))
 

@@ -45,11 +45,11 @@ class DrivenPlan:
         """
         count = len(trajectory.poses)
         if count < 2:
-            raise ValueError("the trajectory has one pose")
+            raise ValueError("the trajectory has one pose, at least two are needed")
         times = [pose.timestamp_us for pose in trajectory.poses]
         for index, time in enumerate(times):
             if not (times[index - 1] if index else -1) < time < LATEST_US:
-                raise ValueError(f"poses[{index}].timestamp_us: is {time}; times must rise")
+                raise ValueError(f"poses[{index}].timestamp_us: is {time}, not a valid later time")
         if times[-1] <= now_us:
             raise ValueError(f"the trajectory ends {(now_us - times[-1]) * 1e-6:g} s before now")
         matrices = [

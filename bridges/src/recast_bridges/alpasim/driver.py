@@ -155,7 +155,9 @@ class AlpaSimDriver(Closing, BasePlanner):
             try:
                 drive.plan = DrivenPlan.read(reply.trajectory, now, pose)
             except ValueError as error:
-                mend = "answer with poses in the local frame, the first for now, then later ones"
+                mend = (
+                    "answer with poses in the local frame: the first for now, then for later times"
+                )
                 raise self._fault(str(error), mend) from None
         elif drive.plan is None:
             if now - drive.began_us >= self._warm_up * 1e6:
@@ -164,7 +166,7 @@ class AlpaSimDriver(Closing, BasePlanner):
             drive.log_drove = (now - drive.began_us + cycle_us) * 1e-6
             return Plan(self._log.plan(observation).waypoints, {"driver": "empty: the log drives"})
         elif drive.plan.ends_us <= now:
-            raise self._fault("the trajectory is empty, and the plan before it has ended")
+            raise self._fault("the trajectory is empty, and the previous plan has ended")
         return Plan(drive.plan.waypoints(now, pose, times))
 
     def finish_rollout(self) -> None:
@@ -181,7 +183,11 @@ class AlpaSimDriver(Closing, BasePlanner):
         if drive.log_drove and drive.plan is None:
             raise self._fault("gave no plan in the whole rollout")
         if drive.log_drove:
-            _LOG.warning("%s: the log drove the first %g s", self.name, drive.log_drove)
+            _LOG.warning(
+                "%s: gave no plan in the first %g s, so the ego followed the log",
+                self.name,
+                drive.log_drove,
+            )
 
     def close(self) -> None:
         """Close the session, whatever came of it."""
@@ -208,7 +214,7 @@ def driver_planner(words: str) -> AlpaSimDriver:
     host, _, port = address.rpartition(":")
     if not host or not port.isdecimal() or not 0 < int(port) < 65536:
         mend = f"give {ALPASIM_PREFIX}HOST:PORT, such as {ALPASIM_PREFIX}localhost:6789"
-        raise InputError("planner", word, "names no host and port", mend)
+        raise InputError("planner", word, "does not name a host and a port", mend)
     if not slash:
         return AlpaSimDriver(address, name=word)
     cameras: dict[str, str] = {}
@@ -216,8 +222,8 @@ def driver_planner(words: str) -> AlpaSimDriver:
         name, given, camera = part.partition("=")
         camera = camera if given else name
         if not name or not camera or name in cameras:
-            mend = "give names with commas between, each NAME or NAME=CAMERA"
-            raise InputError("planner", word, f"camera {part!r} is empty or there twice", mend)
+            mend = "give names separated by commas, each NAME or NAME=CAMERA"
+            raise InputError("planner", word, f"camera {part!r} is empty or appears twice", mend)
         cameras[name] = camera
     return AlpaSimDriver(address, cameras, name=word)
 

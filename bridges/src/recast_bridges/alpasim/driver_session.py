@@ -47,8 +47,8 @@ _CLOSING = 5.0
 _MENDS = {
     "UNAVAILABLE": "start the driver, or name its host and port",
     "UNIMPLEMENTED": "name the port of a driver (EgodriverService)",
-    "DEADLINE_EXCEEDED": "give the driver more time, or see its log",
-    "UNKNOWN": "see the driver's log, and name the cameras that it wants",
+    "DEADLINE_EXCEEDED": "give the driver more time, or check its log",
+    "UNKNOWN": "check the driver's log, and name the cameras that it needs",
 }
 _VERSIONS: dict[str, str] = {}
 """Full version of each driver that this process has met, by address."""
@@ -197,6 +197,8 @@ def _connected(address: str, deadline: float, pauses: Sequence[float]) -> Servic
     known = _VERSIONS.setdefault(address, client.full_version)
     if known != client.full_version:
         client.close()
-        problem = f"the driver is now {client.full_version}, it was {known}"
-        raise InputError(address, "get_version", problem, "begin again with one driver")
+        problem = f"the driver is now {client.full_version}, but was {known} before"
+        raise InputError(
+            address, "get_version", problem, "run again with the same driver throughout"
+        )
     return client

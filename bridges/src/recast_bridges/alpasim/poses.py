@@ -37,9 +37,9 @@ def read_pose(pose: Any, where: str) -> Array:
     vec = np.array([pose.vec.x, pose.vec.y, pose.vec.z])
     quat = np.array([pose.quat.w, pose.quat.x, pose.quat.y, pose.quat.z])
     if not np.all(np.abs(vec) <= WORLD_REACH):  # also NaN
-        raise ValueError(f"{where}.vec: not finite, or beyond {WORLD_REACH:g} m")
+        raise ValueError(f"{where}.vec: is not finite, or is beyond {WORLD_REACH:g} m")
     if not abs(np.linalg.norm(quat) - 1.0) <= _UNIT:
-        raise ValueError(f"{where}.quat: is not of length 1")
+        raise ValueError(f"{where}.quat: does not have length 1")
     return se3.from_rotation_translation(se3.quat_to_matrix(quat), vec)
 
 

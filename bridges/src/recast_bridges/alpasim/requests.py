@@ -54,8 +54,8 @@ def read_requests(
     """
     pixels = [request.resolution_h * request.resolution_w for request in requests]
     if max(pixels, default=0) > MOST_PIXELS or sum(pixels) > MOST_IN_ALL:
-        limits = f"at most {MOST_PIXELS} in an image and {MOST_IN_ALL} in a call"
-        raise RefusedError("RESOURCE_EXHAUSTED", f"{sum(pixels)} pixels are asked for; {limits}")
+        limits = f"the limit is {MOST_PIXELS} for an image and {MOST_IN_ALL} for a call"
+        raise RefusedError("RESOURCE_EXHAUSTED", f"{sum(pixels)} pixels are requested; {limits}")
     try:
         return [_read(request, ftheta_centre) for request in requests]
     except ValueError as error:
@@ -65,7 +65,7 @@ def read_requests(
 def _read(request: Any, ftheta_centre: float) -> SensorsimRequest:
     height, width = request.resolution_h, request.resolution_w
     if not (0 < height <= MOST_SIDE and 0 < width <= MOST_SIDE):
-        problem = f"{height} x {width} is not within 1 and {MOST_SIDE} pixels a side"
+        problem = f"{height} x {width}, expected 1 to {MOST_SIDE} pixels for each"
         raise ValueError(f"resolution_h, resolution_w: {problem}")
     if not request.HasField("camera_intrinsics"):
         raise ValueError("camera_intrinsics: is missing")
@@ -77,13 +77,13 @@ def _read(request: Any, ftheta_centre: float) -> SensorsimRequest:
     if end >= LATEST_US:
         raise ValueError(f"frame_end_us: {end} is not a time in microseconds since 1970")
     if request.insert_ego_mask:
-        raise ValueError("insert_ego_mask: there are no ego masks, see get_available_ego_masks")
+        raise ValueError("insert_ego_mask: recast has no ego masks")
     if request.image_format not in (PNG, JPEG, PLANAR):
-        known = "1 (PNG), 2 (JPEG) and 4 (RGB_UINT8_PLANAR)"
-        raise ValueError(f"image_format: is {request.image_format}; {known} are known")
+        known = "1 (PNG), 2 (JPEG) or 4 (RGB_UINT8_PLANAR)"
+        raise ValueError(f"image_format: is {request.image_format}, expected {known}")
     quality = request.image_quality
     if not 0.0 <= quality <= 100.0:
-        raise ValueError(f"image_quality: {quality} is not within 0 and 100")
+        raise ValueError(f"image_quality: {quality} is not between 0 and 100")
     poses: dict[str, Array] = {}
     for index, thing in enumerate(request.dynamic_objects):
         where = f"dynamic_objects[{index}]"
@@ -95,7 +95,10 @@ def _read(request: Any, ftheta_centre: float) -> SensorsimRequest:
     camera = camera.resized(width, height)
     camera.validate()
     if min(camera.fx, camera.fy) < _SHORTEST:
-        raise ValueError(f"camera_intrinsics: focal lengths of {camera.fx:g}, {camera.fy:g} pixels")
+        raise ValueError(
+            f"camera_intrinsics: focal lengths {camera.fx:g} and {camera.fy:g} pixels are not both "
+            f"at least {_SHORTEST:g}"
+        )
     return SensorsimRequest(
         scene_id=request.scene_id,
         camera=camera,
@@ -119,5 +122,7 @@ def encode(image: Image, image_format: int, quality: int) -> bytes:
     else:
         data = images.encode(image, "png" if image_format == PNG else "jpeg", quality)
     if len(data) > MOST_BYTES - 1024:
-        raise RefusedError("RESOURCE_EXHAUSTED", f"the image has {len(data)} bytes")
+        raise RefusedError(
+            "RESOURCE_EXHAUSTED", f"the image has {len(data)} bytes, too many for a reply"
+        )
     return data

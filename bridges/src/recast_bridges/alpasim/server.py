@@ -42,11 +42,11 @@ WORKERS = 8
 QUEUE = 256
 """Calls that wait, at most, beside those that are answered."""
 
-_NO_LIDAR = "recast renders no LiDAR"
+_NO_LIDAR = "recast does not render LiDAR"
 UNANSWERED = {
     "render_lidar": _NO_LIDAR,
-    "get_loaded_scenes": "recast loads a scene when it is drawn; ask get_available_scenes",
-    "get_available_trajectories": "recast serves no trajectories; the scene's bundle has them",
+    "get_loaded_scenes": "recast loads a scene when it is rendered; call get_available_scenes",
+    "get_available_trajectories": "recast does not serve trajectories; the scene's bundle has them",
 }
 """Methods of the service that are answered with UNIMPLEMENTED, and what is said of them."""
 
@@ -84,7 +84,9 @@ class SensorsimService:
             ) from None
         found: bytes = getattr(self, f"_{method}")(asked, wanted).SerializeToString()
         if len(found) > MOST_BYTES:
-            raise RefusedError("RESOURCE_EXHAUSTED", f"the {reply} has {len(found)} bytes")
+            raise RefusedError(
+                "RESOURCE_EXHAUSTED", f"the {reply} has {len(found)} bytes, more than {MOST_BYTES}"
+            )
         return found
 
     def _get_version(self, asked: Any, wanted: _Call) -> Any:
@@ -107,7 +109,7 @@ class SensorsimService:
     def _batch_render_rgb(self, asked: Any, wanted: _Call) -> Any:
         names = [item.camera_name for item in asked.items]
         if len(set(names)) < len(names):
-            raise RefusedError("INVALID_ARGUMENT", "items: a camera_name is there twice")
+            raise RefusedError("INVALID_ARGUMENT", "items: a camera_name appears twice")
         images = self._images([item.request for item in asked.items], wanted)
         items = [
             message(
@@ -138,7 +140,9 @@ class SensorsimService:
             found.append(encode(image, view.image_format, view.quality))
             left -= len(found[-1])
             if left < 0:
-                raise RefusedError("RESOURCE_EXHAUSTED", f"the images have over {MOST_BYTES} bytes")
+                raise RefusedError(
+                    "RESOURCE_EXHAUSTED", f"the images have more than {MOST_BYTES} bytes"
+                )
         return found
 
 
@@ -191,8 +195,10 @@ class SensorsimServer(Closing):
         except RuntimeError:
             self.port = 0
         if not self.port:
-            mend = "choose a free port, and an address of this machine"
-            raise InputError("`port`", place, "cannot be listened on", mend)
+            mend = "choose a free port and an address of this machine"
+            raise InputError(
+                "`port`", place, "is in use or is not an address of this machine", mend
+            )
         self._server.start()
 
     def wait(self) -> None:

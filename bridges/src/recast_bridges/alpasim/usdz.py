@@ -38,7 +38,7 @@ _DAMAGE = (
     OSError,  # of an offset before the file
 )
 """What `zipfile` raises of damaged archives."""
-_MEND = "give a bundle as AlpaSim reads them: a USDZ file with stored members"
+_MEND = "give a bundle that AlpaSim can read: a USDZ file with uncompressed members"
 
 
 def write_usdz(path: str | Path, members: Mapping[str, bytes]) -> None:
@@ -94,7 +94,7 @@ class _Bounded(io.FileIO):
 
     def read(self, size: int | None = -1, /) -> bytes:
         if size is not None and size > _READ:
-            raise zipfile.BadZipFile(f"its directory has {size} bytes")
+            raise zipfile.BadZipFile(f"its directory has {size} bytes, more than {_READ}")
         return super().read(size) or b""
 
 
@@ -111,12 +111,12 @@ def _check_members(path: Path, infos: list[zipfile.ZipInfo], limits: Mapping[str
         member(path, info.orig_filename.rstrip("/") or "/", path, "member")
         field = f"member {name}"
         if name in seen:
-            raise InputError(path, field, "is there twice", _MEND)
+            raise InputError(path, field, "appears twice", _MEND)
         seen.add(name)
         if info.flag_bits & _ENCRYPTED:
             raise InputError(path, field, "is encrypted", _MEND)
         if info.compress_type != zipfile.ZIP_STORED or info.compress_size != info.file_size:
             raise InputError(path, field, "is compressed", _MEND)
         if info.file_size > limits.get(name, info.file_size):
-            problem = f"has {info.file_size} bytes, {limits[name]} are read at most"
+            problem = f"has {info.file_size} bytes, more than {limits[name]}"
             raise InputError(path, field, problem, _MEND)

@@ -55,8 +55,8 @@ class InputBuilder:
             raise InputError(
                 where,
                 "dt",
-                f"is {context.dt:g} s, of which its history of {HISTORY_INTERVAL} s "
-                "holds no whole number",
+                f"is {context.dt:g} s, which does not divide the history interval of "
+                f"{HISTORY_INTERVAL} s",
                 "simulate with dt 0.1",
             )
         past = {name for name, wanted in frames.items() if set(wanted) - {HISTORY_FRAMES - 1}}
@@ -64,7 +64,7 @@ class InputBuilder:
             raise InputError(
                 where,
                 f"camera {min(past)}",
-                f"is wanted every {HISTORY_INTERVAL} s and rendered every "
+                f"is needed every {HISTORY_INTERVAL} s, but rendered every "
                 f"{context.plan_every * context.dt:g} s",
                 "set plan_every to 5",
             )

@@ -76,14 +76,14 @@ class NavsimPlanner(BasePlanner):
                 self._who,
                 type(agent).__name__,
                 f"lacks {', '.join(missing)}",
-                "name a class or function that gives a NAVSIM agent",
+                "name a class or function that returns a NAVSIM agent",
             )
         if getattr(agent, "requires_scene", False):
             raise InputError(
                 self._who,
                 "requires_scene",
-                "is true: it wants to see the recorded future",
-                "take an agent that drives from its AgentInput alone",
+                "is true: the agent needs the recorded future",
+                "use an agent that needs only its AgentInput",
             )
         self.agent = agent
         self._classes = navsim_classes(installed_classes)
@@ -174,8 +174,8 @@ def _wanted_frames(config: Any, where: str) -> dict[str, tuple[int, ...]]:
         raise InputError(
             where,
             "lidar_pc",
-            "is wanted, and no LiDAR is simulated",
-            "take an agent that drives by its cameras, or one without sensors",
+            "is requested, but LiDAR is not simulated",
+            "use an agent that needs only cameras, or no sensors",
         )
     wanted: dict[str, tuple[int, ...]] = {}
     for name in NAVSIM_CAMERAS:
@@ -188,8 +188,8 @@ def _wanted_frames(config: Any, where: str) -> dict[str, tuple[int, ...]]:
             raise InputError(
                 where,
                 f"sensor config, {name}",
-                f"wants frame {bad[0]}",
-                f"there are frames 0 (oldest) to {HISTORY_FRAMES - 1} (now)",
+                f"requests frame {bad[0]}",
+                f"request frames 0 (oldest) to {HISTORY_FRAMES - 1} (now)",
             )
     return {name: frames for name, frames in wanted.items() if frames}
 
@@ -218,12 +218,12 @@ def resample(poses: ArrayLike, interval: float, times: ArrayLike) -> Array:
         first = int(np.argmax(~np.isfinite(poses).all(axis=1)))
         raise ValueError(f"pose {first} holds NaN or infinity")
     if not (np.isfinite(interval) and interval > 0):
-        raise ValueError(f"its poses are {interval} s apart")
+        raise ValueError(f"the interval of its poses is {interval} s, not more than 0")
     knots = interval * np.arange(len(poses) + 1)
     if knots[-1] < times[-1] - _SAME_TIME:
         raise ValueError(
             f"its {len(poses)} poses every {interval:g} s end at {knots[-1]:g} s, "
-            f"{times[-1]:g} s are needed"
+            f"but {times[-1]:g} s are needed"
         )
     if len(poses) >= len(times) and np.allclose(
         knots[1 : len(times) + 1], times, rtol=0, atol=_SAME_TIME

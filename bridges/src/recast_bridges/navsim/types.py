@@ -200,9 +200,8 @@ def rig_cameras(
             raise InputError(
                 where,
                 f"camera {name}",
-                f"is wanted, and no free camera looks within {WITHIN_DEGREES:g} degrees of "
-                f"{NAVSIM_CAMERAS[name]:.0f} (to the left of ahead)",
-                f"there are {directions(mounts)}; use a log that has it, or name the cameras "
-                "yourself",
+                f"is needed, but no unused camera looks within {WITHIN_DEGREES:g} degrees of "
+                f"{NAVSIM_CAMERAS[name]:.0f} (left of ahead)",
+                f"use another log, or name other cameras; there are {directions(mounts)}",
             )
     return found

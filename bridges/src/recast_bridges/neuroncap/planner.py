@@ -99,7 +99,9 @@ class NeuroNcapPlanner(BasePlanner):
         chosen = ncap_cameras(mounts)
         if "CAM_FRONT" not in chosen:
             mend = "use a log with a camera that looks ahead"
-            raise InputError(f"planner {self.name}", "CAM_FRONT", "no camera stands for it", mend)
+            raise InputError(
+                f"planner {self.name}", "CAM_FRONT", "no camera of the log corresponds to it", mend
+            )
         return chosen
 
     def reset(self, context: PlanningContext) -> None:
@@ -127,7 +129,7 @@ class NeuroNcapPlanner(BasePlanner):
         try:
             points = read_trajectory(answer)
         except ValueError as error:
-            raise self._service.fault("/infer", f"its answer: {error}") from None
+            raise self._service.fault("/infer", f"gave an invalid answer: {error}") from None
         times = self._context.dt * np.arange(1, WAYPOINTS + 1)
         return Plan(waypoints_of(points, times))
 
@@ -206,7 +208,7 @@ def read_trajectory(answer: object) -> Array:
     listed = answer["trajectory"]
     if not isinstance(listed, list) or not LEAST <= len(listed) <= _MOST_POINTS:
         found = f"has {len(listed)} points" if isinstance(listed, list) else "is not a list"
-        raise ValueError(f"trajectory {found}, not {LEAST} to {_MOST_POINTS} points")
+        raise ValueError(f"trajectory {found}, expected {LEAST} to {_MOST_POINTS} points")
     for number, point in enumerate(listed):
         numbers = isinstance(point, list) and [type(one) in (int, float) for one in point]
         if numbers != [True, True] or not all(abs(one) <= _FARTHEST for one in point):

@@ -120,7 +120,7 @@ def read_ncap_scenario(path: str | Path) -> NcapScenario:
     duration = general.number("duration", 0.5, 1000.0, 20.0)
     framerate = general.number("actor_framerate", 0.1, 100.0, 2.0)
     if not 2 <= int(duration * framerate) <= _MOST_SAMPLES:
-        mend = f"give 2 to {_MOST_SAMPLES} samples in the duration"
+        mend = f"give a rate of 2 to {_MOST_SAMPLES} samples in the duration"
         raise general.fault("actor_framerate", None, mend)
     listed = root.required("actors")
     if not isinstance(listed.value, list) or not 0 < len(listed.value) <= _MOST_ACTORS:
@@ -140,14 +140,14 @@ class _Members:
 
     def __init__(self, node: Node, known: tuple[str, ...]) -> None:
         if not isinstance(node.value, dict):
-            raise node.error(known[0], None, f"give {', '.join(known)}")
+            raise node.error(known[0], None, f"give the keys {', '.join(known)}")
         self._node = node
         self._found: dict[str, Node] = {}
         for written, member in node.value.items():
             key = written.replace("-", "_")
             if key not in known:
                 near = get_close_matches(key, known, 1)
-                mend = f"did you mean {near[0]}?" if near else f"the keys are {', '.join(known)}"
+                mend = f"did you mean {near[0]}?" if near else f"choose one of {', '.join(known)}"
                 raise member.error(written, "is not known", mend)
             if key in self._found:
                 raise member.error(written, "is given twice", "remove one of them")
@@ -192,13 +192,13 @@ class _Members:
     def several(self, key: str, least: int, read: Callable[[Node], Any]) -> tuple[Any, ...]:
         node = self.required(key)
         if not isinstance(node.value, list) or len(node.value) < least:
-            raise node.error(key, None, f"give a list of {least} or more")
+            raise node.error(key, None, f"give a list of {least} or more entries")
         return tuple(read(one) for one in node.value)
 
 
 def _number(node: Node, key: str, low: float, high: float) -> float:
     if not isinstance(node.value, float) or not low <= node.value <= high:
-        raise node.error(key, None, f"give {low:g} to {high:g}")
+        raise node.error(key, None, f"give a number from {low:g} to {high:g}")
     return node.value
 
 
@@ -220,7 +220,7 @@ def _place(node: Node) -> tuple[float, ...]:
 def _actor(one: _Members) -> NcapFileActor:
     optimized = one.word("mode", ("override", "optimized")) == "optimized"
     if ("uuid" in one) == ("uuids" in one):
-        raise one.fault("uuids", "must be given, or uuid, and not both", _MEND)
+        raise one.fault("uuids", "must be given, or uuid, but not both", _MEND)
     if "dims" in one:
         raise one.fault("dims", None, "leave it out: vehicles keep their size")
     uuids = one.several("uuids", 1, _uuid) if "uuids" in one else (_uuid(one.required("uuid")),)
@@ -231,7 +231,7 @@ def _actor(one: _Members) -> NcapFileActor:
         times = one.several("times", 2, lambda node: _number(node, "times", -1000.0, 1000.0))
         positions = one.several("positions", 2, _place)
         if len(times) != len(positions):
-            problem = f"has {len(positions)} places for {len(times)} times"
+            problem = f"has {len(positions)} positions for {len(times)} times"
             raise one.fault("positions", problem, _MEND)
         if any(later - earlier < _SHORTEST for earlier, later in pairwise(times)):
             raise one.fault("times", f"do not increase by {_SHORTEST:g} s or more", _MEND)
@@ -267,7 +267,7 @@ def _jitter(one: _Members) -> Jitter:
     }
     moved = known["longitudinal"] is not None or known["lateral"] is not None
     if moved and "long_lat_angle" not in one:
-        raise one.fault("long_lat_angle", "is missing", "give the direction of longitudinal")
+        raise one.fault("long_lat_angle", "is missing", "give the angle of the longitudinal axis")
     if "times" in one:
         one.several("times", 0, lambda node: _number(node, "times", 0.0, 1000.0))
     return Jitter(

@@ -71,7 +71,7 @@ def ncap_runs(
     for actor in scenario.actors:
         for uuid in actor.uuids:
             if uuid not in log.tracks:
-                mend = "name the log of the scene that the scenario is for"
+                mend = "give the log of the scene that the scenario was written for"
                 raise InputError(where, f"uuid {uuid}", f"is not a track of {log.name}", mend)
     return [_Draw(scenario, log, frames, seed, where).run() for seed in range(runs)]
 
@@ -108,8 +108,9 @@ class _Draw:
             first = max(0, first + moved)
         driven = first + scenario.priming_steps
         if max(driven, scenario.start_frame) >= len(frames):
-            problem = f"begins at key frame {driven}, {self._log.name} has {len(frames)}"
-            raise self._fault(problem, "name the log of the scene that the scenario is for")
+            problem = f"begins at key frame {driven}, but {self._log.name} has only {len(frames)}"
+            mend = "give the log of the scene that the scenario was written for"
+            raise self._fault(problem, mend)
         # In seconds after the first key frame, as times are in the file.
         seconds = (frames - frames[0]) * 1e-6
         left = scenario.duration - float(seconds[driven] - seconds[first])
@@ -119,12 +120,14 @@ class _Draw:
         start = self._log.world_from_rig.timestamps_us[0]
         start_after = float(frames[driven] - start) * 1e-6
         if start_after < 0.0 or left < STEP:
-            raise self._fault("begins before the log does, or ends before it", "use another log")
+            raise self._fault(
+                "begins before the log, or ends within its priming steps", "use another log"
+            )
         motions: dict[str, TimedPath | LogReplay] = {}
         targets: list[str] = []
         for actor, uuid, places, yaw in self._actors():
             if uuid in motions:
-                raise self._fault(f"has the track {uuid} twice", "give each actor other uuids")
+                raise self._fault(f"has the track {uuid} twice", "give each actor different uuids")
             setting = f"run-{self._seed}"
             motions[uuid] = LogReplay(setting)
             if not actor.optimized:
@@ -135,11 +138,11 @@ class _Draw:
             if actor.target:
                 targets.append(uuid)
         if len(targets) > 1:
-            raise self._fault(f"has {len(targets)} targets", "mark one actor is_target_actor")
+            raise self._fault(f"has {len(targets)} targets", "mark only one actor is_target_actor")
         target = targets[0] if targets else next(iter(motions))
         own = motions.pop(target)
         if not isinstance(own, TimedPath):
-            problem = f"its target {target} drives as logged"
+            problem = f"its target {target} follows its logged trajectory"
             raise self._fault(problem, "give the target the mode override")
         aimed = TimedPath(own.setting, own.path, round(start_after, 6))
         steps = int(left / STEP + _SAME)

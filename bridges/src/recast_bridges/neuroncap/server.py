@@ -41,7 +41,9 @@ def ncap_app(service: NcapService) -> Starlette:
         return JSONResponse(None)
 
     def scale(value: object) -> Response:
-        raise RefusedError("UNIMPLEMENTED", "actor scale: vehicles keep their size")
+        raise RefusedError(
+            "UNIMPLEMENTED", "actor scale: is not supported, vehicles keep their size"
+        )
 
     gets: Mapping[str, Callable[[], object]] = {
         "/alive": lambda: True,

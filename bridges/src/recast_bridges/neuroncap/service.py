@@ -153,7 +153,7 @@ def _numbers(value: object, where: str, shape: tuple[int, ...]) -> Array:
     wanted = "x".join(str(n) if n else "N" for n in shape)
     fits = array.ndim == len(shape) and array.dtype.kind in "if"
     if not fits or any(n not in (0, m) for n, m in zip(shape, array.shape, strict=True)):
-        raise _refused(where, f"is not {wanted} numbers")
+        raise _refused(where, f"is not an array of {wanted} numbers")
     return array.astype(np.float64)
 
 
@@ -179,7 +179,7 @@ def _read_actor(one: object, where: str) -> NcapActor:
     dims = _numbers(_member(one, "dims", where), f"{where}.dims", (3,))
     if not np.all(are_box_sides(dims)):
         low, high = BOX_SIDE
-        raise _refused(f"{where}.dims", f"are not three metres of {low:g} to {high:g}")
+        raise _refused(f"{where}.dims", f"are not three lengths of {low:g} to {high:g} m")
     trajectory = Trajectory(np.array(times, np.int64), poses)
     try:
         trajectory.validate(where)

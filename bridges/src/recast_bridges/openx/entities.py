@@ -80,8 +80,10 @@ def played_scenario(setup: RolloutSetup) -> Played:
     prepared = prepare(setup)
     for track_id, motion in setup.controlled.items():
         if not hasattr(motion, "script"):
-            problem = f"{motion.name} of track {track_id} reacts: it has no path before it is run"
-            raise InputError(setup.log.name, "motion", problem, "export a rollout of it")
+            problem = (
+                f"{motion.name} of track {track_id} reacts: its path is unknown before it runs"
+            )
+            raise InputError(setup.log.name, "motion", problem, "export a rollout of this scenario")
     steps = len(prepared.actor) - 1
     times: Array = np.arange(steps + 1) * np.float64(setup.dt)
     vehicle = setup.vehicle

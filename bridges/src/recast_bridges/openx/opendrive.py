@@ -231,7 +231,7 @@ def read_opendrive(path: str | Path) -> dict[str, RoadLane]:
 
     def named(road: str, lane: str, where: str) -> str:
         if (road, lane) not in names:
-            raise file.fault(where, "names a road or lane that is not there")
+            raise file.fault(where, "names a road or lane that does not exist")
         return names[road, lane]
 
     successors: dict[str, list[str]] = {key: [] for key in names.values()}

@@ -35,7 +35,7 @@ class XmlFile:
         self.path = Path(path)
         text = read_text(path, MOST_BYTES)
         if "<!DOCTYPE" in text:
-            raise self.fault("DOCTYPE", "is not read")
+            raise self.fault("DOCTYPE", "is not supported")
         try:
             self.root = ET.fromstring(text)
         except (ET.ParseError, ValueError, RecursionError) as error:
@@ -91,7 +91,7 @@ def read_openscenario(path: str | Path) -> Played:
             raise file.fault("ScenarioObject", f"{name!r} is given twice")
         entities[name] = _entity(file, element, name, starts.get(name), groups.get(name))
     if not entities:
-        raise file.fault("Entities", "there are none")
+        raise file.fault("Entities", "holds no entity")
     text = file.text(file.one(file.root, "FileHeader"), "description")
     return Played("", text, duration, tuple(entities.values()))
 
@@ -122,7 +122,7 @@ def _entity(
         added = None if group is None else group.find(".//AddEntityAction")
         where = added if added is not None else start
         if where is None:
-            raise file.fault("Init", f"{name!r} has no start")
+            raise file.fault("Init", f"{name!r} has no start position")
         event = None if group is None else group.find("Maneuver/Event")
         begins = 0.0 if added is None or event is None else _seconds(file, event)
         times, poses = np.array([begins]), _pose(file, file.one(where, ".//Position/.."))[None]
@@ -165,7 +165,9 @@ def largest_difference(one: Played, other: Played) -> tuple[float, float]:
     metres, seconds = 0.0, abs(one.duration - other.duration)
     for a, b in zip(one.entities, other.entities, strict=True):
         if (a.track_id, a.category, a.times.shape) != (b.track_id, b.category, b.times.shape):
-            raise ValueError(f"entity {a.track_id} is {b.track_id}, or of another length")
+            raise ValueError(
+                f"entities {a.track_id} and {b.track_id} differ in id, category or path length"
+            )
         corners = [se3.apply(entity.boxes, (signs * entity.size)[None]) for entity in (a, b)]
         apart = corners[0] - corners[1]
         metres = max(metres, float(np.linalg.norm(apart, axis=-1).max()))

@@ -69,7 +69,7 @@ def check_names(
                 table.path,
                 f"actor {name}",
                 "is not in the checkpoint",
-                f"choose of {', '.join(found) or 'none'}",
+                f"choose one of {', '.join(found) or 'none'}",
             )
 
 
@@ -125,7 +125,7 @@ def choose_tracks(
             raise models.fault(
                 "RigidNodes",
                 f"actor {name}: {track_id} is not a track of log {log.name}, or named twice",
-                "mend the file of tracks",
+                "correct the tracks file",
             )
     rest = {name: own for name, own in trajectories.items() if name not in named}
     matches = match_tracks(log, rest, list(named.values()))
@@ -136,7 +136,7 @@ def choose_tracks(
             continue
         distance, found = matches[name]
         if found is None or distance > FAR_M:
-            near = "none is there at its times"
+            near = "no track is present at its times"
             if found is not None:
                 near = f"{found} is nearest, {distance:.1f} m away"
             raise models.fault(
@@ -174,7 +174,7 @@ def find_tracks(
     for name, named in tracks.items():
         if named not in log.tracks or list(tracks.values()).count(named) > 1:
             problem = f"track {named} is not in log {log.name}, or named twice"
-            raise table.fault(name, problem, "mend the file of tracks")
+            raise table.fault(name, problem, "correct the tracks file")
     for name in trajectories:
         if by_name and name in log.tracks and name not in (*tracks, *tracks.values()):
             tracks[name] = name
@@ -196,17 +196,23 @@ def as_tracks(
         tracks: the log's track ids by name.
 
     Raises:
-        InputError: an actor that is no track has the name of a track that another actor is.
+        InputError: an actor that is no track has the name of a track that belongs to another actor.
     """
     actors: dict[str, SceneActor] = {}
     for name, actor in found.items():
         key = tracks.get(name, name)
         if name not in tracks and name in tracks.values():
-            raise table.fault(name, "has the name of a track that another actor is", "leave it out")
+            raise table.fault(
+                name,
+                "has the name of a track that belongs to another actor",
+                "leave this actor out",
+            )
         size = log.tracks[key].size if name in tracks else actor.size
         actors[key] = replace(actor, track_id=key, size=size)
     unknown = ", ".join(name for name in found if name not in tracks)
-    told = f"{unknown}: no tracks of the log, so they keep their names and the size of their shape"
+    told = (
+        f"{unknown}: not tracks of the log, so they keep their names and the sizes of their shapes"
+    )
     return actors, [told] if unknown else []
 
 

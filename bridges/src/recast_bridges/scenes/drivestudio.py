@@ -121,7 +121,7 @@ def import_drivestudio(
     wanted, left_out = {}, []
     for name, instance in instances.items():
         if name in leave_out:
-            left_out.append(f"actor {name}: asked to be left out")
+            left_out.append(f"actor {name}: left out as requested")
         elif len(instance.gaussians) == 0:
             left_out.append(f"actor {name}: has no Gaussians")
         else:
@@ -142,7 +142,7 @@ def import_drivestudio(
     sky = sky_from_cubemap(faces, CUBE_FROM_SCENE @ pose[:3, :3].T.float())
     far = (
         f"actors lie as far as {distance:.2f} m from their tracks: the first frame or the clock "
-        "may be others"
+        "may be wrong"
     )
     return write_imported(
         Path(path),
@@ -187,8 +187,8 @@ def _changed(models: Table, tracks: Mapping[str, str], distance: float) -> list[
     if tracks:
         changed.append(TURNING)
         changed.append(
-            f"actors were told to be tracks by their places, {distance:.2f} m off at most (median "
-            "over an actor's time)"
+            f"actors were matched to tracks by their positions, {distance:.2f} m off at most "
+            "(median over an actor's time)"
         )
     if "Sky" in models:
         changed.append(RESAMPLED)

@@ -104,7 +104,7 @@ def import_hugsim(
     names = actor_names(folder)
     given = read_track_names(tracks)
     check_names(table, names, given, leave_out)
-    left_out = [f"actor {name}: asked to be left out" for name in leave_out]
+    left_out = [f"actor {name}: left out as requested" for name in leave_out]
     clock = Clock(start_us, origin_of(folder, poses[0]), time_unit)
     motions: dict[str, Trajectory] = {}
     for name in (name for name in names if name not in leave_out):
@@ -182,7 +182,7 @@ def start_time(log: DrivingLog, stream: CameraStream, first_frame: int) -> int:
         return int(log.world_from_rig.timestamps_us[0])
     if not 0 <= first_frame < count:
         problem = f"{stream.name} has frames 0 to {count - 1}"
-        raise InputError(log.name, f"frame {first_frame}", problem, "name another")
+        raise InputError(log.name, f"frame {first_frame}", problem, "choose another frame")
     return int(stream.timestamps_us[first_frame])
 
 

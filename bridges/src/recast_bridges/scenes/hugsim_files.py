@@ -178,7 +178,7 @@ def read_recordings(path: Path) -> dict[str, Recording]:
 def _intrinsics(frame: Table) -> PinholeCamera:
     matrix, width, height = frame.array("intrinsics"), frame.number("width"), frame.number("height")
     if matrix.shape not in ((3, 3), (4, 4)) or not (1 <= width <= 1e5 and 1 <= height <= 1e5):
-        raise frame.fault("intrinsics", "or width or height: are not those of a camera", _MEND)
+        raise frame.fault("intrinsics", "or width or height: are not valid for a camera", _MEND)
     fx, fy, cx, cy = (float(matrix[place]) for place in ((0, 0), (1, 1), (0, 2), (1, 2)))
     camera = PinholeCamera(round(width), round(height), fx, fy, cx, cy)
     with refused(f"{frame.path}: {frame.prefix}", _MEND):

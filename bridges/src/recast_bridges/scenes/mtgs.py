@@ -107,7 +107,7 @@ def import_mtgs(
         gaussians = read_gaussian_node(node, share)
         motion = read_motion(node, log, placement.world_from_scene)
         if motion is None or len(gaussians) == 0:
-            left_out.append(f"actor {name}: is never there, or has no Gaussians")
+            left_out.append(f"actor {name}: is never present, or has no Gaussians")
             continue
         if not motion.meets(log):
             elsewhere += 1
@@ -140,7 +140,9 @@ def import_mtgs(
             "it, those with the angle of view are averaged"
         )
     if gaps:
-        changed.append(f"{', '.join(gaps)}: absent for a while there, interpolated here")
+        changed.append(
+            f"{', '.join(gaps)}: absent for a while in the scene; interpolated in the import"
+        )
     if adrift:
         changed.append(f"{', '.join(adrift)}: moved to the scene by recon2world_translation")
     changed += keeping
@@ -203,7 +205,7 @@ def read_nodes(root: Table, leave_out: Sequence[str]) -> tuple[dict[str, Node], 
     for name, token in sorted(zip(root, tokens, strict=True), key=lambda p: p[1] != "background"):
         node = Node.of(root, name, token)
         if token in leave_out:
-            left_out.append(f"{token}: asked to be left out")
+            left_out.append(f"{token}: left out as requested")
         elif node.kind not in (*SCENERY, RIGID, MIRRORED):
             left_out.append(f"{name}: a {node.kind[:60]}, which is not rigid or not known")
         elif token in nodes:
@@ -225,7 +227,7 @@ def _placement(root: Table, log: DrivingLog, folder: Path | None) -> tuple[Place
     if ego is not None:
         distance, count = distance_to_log(*ego, pose, log)
         if count == 0:
-            raise InputError(file, "timestamp", f"none is in log {log.name}", _SAME_LOG)
+            raise InputError(file, "timestamp", f"no frame is in log {log.name}", _SAME_LOG)
         how += f"; its ego is {distance:.2f} m from the log's (median of {count} frames)"
         if distance > SUSPICIOUS_M:
             warnings.append(f"the ego of the scene is {distance:.2f} m from the log's")

@@ -103,7 +103,7 @@ def import_street_gaussians(
     corrections = _corrections(table, drive)
     actors: dict[str, SceneActor] = {}
     by_name: dict[str, str] = {}
-    left_out = [f"{name}: asked to be left out" for name in leave_out]
+    left_out = [f"{name}: left out as requested" for name in leave_out]
     for name in (name for name in names if name not in leave_out):
         gaussians = _gaussians(table.table(name), share)
         if len(gaussians) == 0:
@@ -164,8 +164,8 @@ def _placement(
     mean = log.world_from_rig.at(times)[:, :3, 3].mean(axis=0)
     return Placement(
         se3.from_rotation_translation(torch.eye(3), mean),
-        f"mean of {len(times)} ego positions of the log, which is only near to the mean over the "
-        "frames of the processed folder; give that folder to be exact",
+        f"mean of {len(times)} ego positions of the log, which only approximates the mean over the "
+        "frames of the processed folder; give that folder for the exact place",
     )
 
 

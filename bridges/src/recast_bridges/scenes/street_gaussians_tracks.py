@@ -165,7 +165,7 @@ def read_processed(
             f"frames {first} to {last}",
             f"not all of them are in ego_pose, which has "
             f"{len(listed)} from {listed[0]} to {listed[-1]}",
-            "name others (`frames`)",
+            "choose other frames (`frames`)",
         )
     if not cameras or any(not 0 <= camera < len(CAMERAS) for camera in cameras):
         raise InputError(folder, f"cameras {list(cameras)}", "of 0 to 4", "name others")

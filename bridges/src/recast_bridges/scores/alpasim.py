@@ -90,7 +90,7 @@ def alpasim_scene_score(
         reason = "no drivable area in the map"
         return SceneScore(invalid(reason), 0.0, 0, nothing, nothing, nothing, np.zeros(0))
     if rollout.steps_run < 2:
-        reason = "fewer than three states"
+        reason = "the rollout has fewer than three states"
         return SceneScore(invalid(reason), 0.0, 0, nothing, nothing, nothing, np.zeros(0))
     contact, at_fault = _contacts(rollout, last_contact_only)
     outside = off_road(rollout.ego_boxes, rollout.ego_size, hd_map, road_edges)

@@ -80,7 +80,9 @@ def driven_epdms(
     if hd_map is None or not hd_map.lanes:
         return _none("no lanes in the map")
     if abs(rollout.dt - _DT) > 1e-9:
-        return _none(f"NAVSIM's rules are for steps of {_DT} s, these are of {rollout.dt:g} s")
+        return _none(
+            f"NAVSIM's rules need steps of {_DT} s, but the drive has steps of {rollout.dt:g} s"
+        )
     if len(rollout.plan_steps) == 0:
         return _none("no plan was made")
     half, offset = rollout.ego_size[0] / 2, rollout.ego_centre_offset
@@ -109,7 +111,7 @@ def driven_epdms(
     alone = np.isnan(compared)
     totals = np.where(alone, scores.total(), scores.total(np.where(alone, 0.0, compared)))
     worst = int(np.argmin(totals))
-    reason = f"least, {totals[worst]:.2f}, at step {int(rollout.plan_steps[worst])}"
+    reason = f"lowest score {totals[worst]:.2f} at step {int(rollout.plan_steps[worst])}"
     contact = any_collision(list(rollout_collisions(rollout).values())).first_step
     later = 0 if contact is None else int(np.count_nonzero(rollout.plan_steps > contact))
     if later:

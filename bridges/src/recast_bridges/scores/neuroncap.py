@@ -81,10 +81,13 @@ def neuroncap_score(rollout: Rollout, reference: Reference = "four-seconds") -> 
     own = speed * np.array([np.cos(heading), np.sin(heading)])
     impact = float(np.hypot(*(own - _velocity(actor.states, before, before + 1, dt))))
     if reference_speed < _STANDS:
-        score = invalid("without a reaction the ego would stand against the actor")
+        score = invalid(
+            "the reference speed is 0: without a reaction, the ego would not approach the actor"
+        )
     else:
         value = _BEST_HIT * max(0.0, 1.0 - impact / reference_speed)
-        reason = f"meets {actor.name} at step {step} with {impact:.1f} of {reference_speed:.1f} m/s"
+        reason = f"hits {actor.name} at step {step} at {impact:.1f} m/s"
+        reason += f" (reference {reference_speed:.1f} m/s)"
         score = Metric(value, reason)
     return NcapScore(score, impact, reference_speed)
 

@@ -74,7 +74,7 @@ def score_run(path: str | Path, progress: Progress | None = None) -> tuple[Forei
     run = RunFolder.open(path)
     uses = [use for use in run.record.artefacts if use_parts(use)[0] == _USE]
     if not uses:
-        raise InputError(path, "rollouts", "has none yet", "let `recast run` make them")
+        raise InputError(path, "rollouts", "do not exist yet", "make them with `recast run`")
     hd_map, store = map_of(read_log(run.log_path)), run.store()
     found = []
     for done, use in enumerate(uses):

@@ -102,7 +102,7 @@ def two_stage(scores: Sequence[TokenScore], mappings: Sequence[TwoStageMapping])
     """
     by_token = {one.token: one for one in scores}
     if len(by_token) < len(scores):
-        raise ValueError("two_stage: a token is scored twice")
+        raise ValueError("two_stage: two scores have the same token")
     rows: dict[str, dict[str, float]] = {one.token: _row(one, np.nan) for one in scores}
     firsts, seconds, products = [], [], []
     for mapping in mappings:

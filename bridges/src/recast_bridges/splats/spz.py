@@ -65,7 +65,7 @@ def write_spz(
     bits = next((b for b in range(POSITION_BITS, -1, -1) if reach * 2**b <= _FIXED_MOST), None)
     if bits is None:
         problem = f"{reach:g} m from the origin, SPZ reaches {_FIXED_MOST}"
-        raise InputError(path, "position", problem, "leave out what is so far away")
+        raise InputError(path, "position", problem, "leave out Gaussians that far away")
     antialiased = _ANTIALIASED if low_pass is not None and low_pass.antialiased else 0
     streams = [stream for stream in packed(gaussians, bits) if stream]
     count = len(streams) if version == 4 else 0
@@ -159,7 +159,7 @@ def _header(path: Path, data: bytes) -> _Header:
         problem = f"version {version}, {count} Gaussians of degree {degree}, {bits} fractional bits"
         raise InputError(path, "header", problem, _MEND)
     if flags & _EXTENSIONS:
-        raise InputError(path, "flags", "name extensions, which are not read", _MEND)
+        raise InputError(path, "flags", "use extensions, which are not supported", _MEND)
     return _Header(version, count, degree, bits, flags)
 
 

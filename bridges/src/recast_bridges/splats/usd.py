@@ -149,7 +149,7 @@ def read_usd(path: str | Path, double: bool = False) -> Gaussians:
         raise InputError(path, composed[0].decode(), "is not read", _MEND)
     starts = [match.end() for match in _PRIM.finditer(text)]
     if not starts:
-        problem = "has none: it draws no Gaussians"
+        problem = "is missing: the file draws no Gaussians"
         raise InputError(path, "ParticleField3DGaussianSplat", problem, _MEND)
     spans = zip(starts, [*starts[1:], len(text)], strict=True)
     bodies = [_DEFINED.split(text[start:end], maxsplit=1)[0] for start, end in spans]
@@ -201,7 +201,7 @@ def _prim(path: Path, body: bytes, arrays: list[bytes]) -> Gaussians:
     degree = _DEGREE.search(body)
     wanted = 3 if degree is None else int(degree[1][:9])
     if wanted > MAX_DEGREE:
-        problem = f"is {wanted}, {MAX_DEGREE} is the most"
+        problem = f"is {wanted}, {MAX_DEGREE} at most"
         raise InputError(path, "radiance:sphericalHarmonicsDegree", problem, _MEND)
     rows = dict.fromkeys(_ATTRIBUTES, n) | {_HARMONICS: n * (wanted + 1) ** 2}
     for name, count in rows.items():
@@ -226,7 +226,7 @@ def _array(path: Path, body: bytes, name: str, arrays: list[bytes]) -> Array:
             warnings.simplefilter("error")  # of numbers that cannot be read
             values = np.fromstring(text, np.float64, sep=",") if text.strip() else np.zeros(0)
     except (DeprecationWarning, ValueError):
-        raise InputError(path, name, "holds what is not a number", _MEND) from None
+        raise InputError(path, name, "holds a value that is not a number", _MEND) from None
     if values.size != (tuples * width if width > 1 else values.size) or (width == 1 and tuples):
         raise InputError(path, name, f"holds {values.size} numbers in {tuples} tuples", _MEND)
     return values.reshape(-1, width)

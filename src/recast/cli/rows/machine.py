@@ -249,7 +249,7 @@ def get_weights(name: str, accepted: bool, console: Console) -> None:
             bars.update(tasks[file], completed=came, visible=came != of)  # type: ignore[arg-type]
 
         path = fetch(weights, accepted=accepted, progress=progress)
-    console.print(_told(weights, f"fetched to {path}"), markup=False, soft_wrap=True)
+    console.print(_told(weights, f"downloaded to {path}"), markup=False, soft_wrap=True)
 
 
 def verify_weights(name: str | None, console: Console) -> None:
@@ -270,7 +270,7 @@ def verify_weights(name: str | None, console: Console) -> None:
                 get = f"run `recast weights get {one}`"
                 raise InputError("weights", one, "are not here", get)
             verify(folder, read_weights_record(folder))
-            told = _told(weights, "as fetched")
+            told = _told(weights, "as downloaded")
         except InputError as error:
             faults.append(error)
             told = f"{one}: {error}"

@@ -259,7 +259,9 @@ def _ego(
     times = times_of(path, rows)
     city_from_ego = poses(path, rows)
     if len(times) < 2:
-        raise InputError(path, "rows", f"there are {len(times)}, 2 are needed", "download it again")
+        raise InputError(
+            path, "rows", f"there are {len(times)} poses, 2 are needed", "download it again"
+        )
     steps = np.diff(times)
     if np.any(steps <= 0):
         row = int(np.argmax(steps <= 0)) + 1

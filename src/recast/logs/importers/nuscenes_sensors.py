@@ -213,7 +213,9 @@ def read_ego(
     path = tables / "ego_pose.json"
     ordered = sorted(rows.values(), key=lambda row: row.timestamp)
     if len({row.timestamp for row in ordered}) < 2:
-        raise InputError(path, "rows", f"the scene has {len(ordered)}, 2 are needed", _MEND_POSES)
+        raise InputError(
+            path, "rows", f"the scene has {len(ordered)} ego poses, 2 are needed", _MEND_POSES
+        )
     placed = np.stack([pose_of(path, row) for row in ordered])
     all_times = np.array([row.timestamp for row in ordered], np.int64)
     jump = first_jump(all_times, placed)

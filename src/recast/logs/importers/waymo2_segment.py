@@ -141,7 +141,7 @@ def _lasers(components: Components, times: Iterable[int]) -> _ByFrame[LaserEntry
             pose = poses[time].get(name, (None,))[0]
             if name == _TOP and pose is None:
                 raise returns[0].place.error(
-                    "of the LiDAR TOP has no row in lidar_pose at the frame's time"
+                    "the LiDAR TOP has no row in lidar_pose at the frame's time"
                 )
             found[time][name] = LaserEntry(returns, pose)
     return found

@@ -75,7 +75,9 @@ def _choose(path: Path, scenario: str | None) -> Record:
     else:
         return chosen
     shown = ", ".join(names[:LISTED])
-    raise InputError(path, "scenario_id", problem, f"name one, FILE:SCENARIO, such as {shown}")
+    raise InputError(
+        path, "scenario_id", problem, f"name a scenario as FILE:SCENARIO, such as {shown}"
+    )
 
 
 def _ego(message: Message, times: Int64Array) -> tuple[Trajectory, Array]:

@@ -116,7 +116,7 @@ def read_cameras(segment: Segment) -> dict[str, CameraStream]:
         late = np.flatnonzero(np.diff(times) <= 0)
         if len(late):
             raise entries[late[0] + 1].jpeg.place.error(
-                "its pose is not later than that of the one before"
+                "its pose is not later than the pose of the image before"
             )
         images = WaymoImages(entries, known.camera)
         streams[name] = CameraStream(name, known.camera, known.rig_from_camera, times, images)

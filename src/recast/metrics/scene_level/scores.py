@@ -202,7 +202,7 @@ def load_features(path: Path) -> Features:
         raise InputError(path, "drawn", "is missing or not boolean", _MEND)
     for name, array in found.items():
         if name not in OF_TEXTS and len(array) != len(drawn):
-            raise InputError(path, name, f"has {len(array)} rows, not {len(drawn)}", _MEND)
+            raise InputError(path, name, f"has {len(array)} rows, expected {len(drawn)}", _MEND)
     return found
 
 

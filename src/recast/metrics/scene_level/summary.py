@@ -50,14 +50,14 @@ class MeasuredScene:
     def problem(self) -> str | None:
         """Why the scene does not count; None if it does."""
         if not self.frames:
-            return "no image of its drives counts"
+            return "no image of its drives shows a vehicle large and visible enough"
         if not self.logged:
-            return "no logged image counts"
+            return "no logged image shows a vehicle large and visible enough"
         if not self.drawn().any():
             return "no image could be rendered for every arm"
         for arm, features in self.arms.items():
             if len(features["drawn"]) != len(self.frames):
-                return f"arm {arm} was measured on other images"
+                return f"arm {arm} was measured on different images"
         return None
 
 
@@ -212,7 +212,9 @@ def _interval(draws: Array) -> tuple[float, float]:
 
 def _arms(scenes: Mapping[str, MeasuredScene]) -> Sequence[str]:
     if not scenes:
-        raise InputError("scene-level", "scenes", "none counts", "see the reasons above")
+        raise InputError(
+            "scene-level", "scenes", "none could be measured", "read the reasons above"
+        )
     names = [tuple(one.arms) for one in scenes.values()]
     if len(set(names)) > 1:
         raise InputError("scene-level", "arms", "differ between scenes", "measure all arms again")

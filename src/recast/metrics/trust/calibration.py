@@ -28,7 +28,7 @@ FORMAT: Literal["recast-trust"] = "recast-trust"
 VERSION: Literal[2] = 2
 MEASURED_SCENES = 20
 """A calibration on fewer scenes is provisional."""
-_MEND = "make it anew with `recast bench trust`"
+_MEND = "make it again with `recast bench trust`"
 _Share = Annotated[float, Field(ge=0, le=1)]
 
 
@@ -128,14 +128,16 @@ def calibrate(
     agreeing = sum(one.agrees for one in rollouts)
     if len(scenes) < 2:
         raise InputError(
-            "`grids`",
+            "GRIDS",
             "scenes",
-            f"{len(scenes)} with a truth: none can be left out",
-            "give grids of two scenes or more that have an oracle arm",
+            f"{len(scenes)} with a truth, at least 2 are needed",
+            "give grids that have an oracle arm and, together, two or more scenes",
         )
     if agreeing in (0, len(rollouts)):
-        problem = f"{agreeing} of {len(rollouts)} agree with the truth: there is nothing to tell"
-        raise InputError("`grids`", "verdict_agrees", problem, "give more grids")
+        problem = (
+            f"is true for {agreeing} of {len(rollouts)} rollouts; both true and false are needed"
+        )
+        raise InputError("GRIDS", "verdict_agrees", problem, "give more grids")
     found = reliability(rollouts, trust_left_out(rollouts, ridge))
     model = fit_rollouts(rollouts, ridge)
     columns = zip(READ, model.coefficients, model.means, model.scales, strict=True)

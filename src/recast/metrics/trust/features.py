@@ -42,17 +42,19 @@ FEATURES: Mapping[str, Feature] = {
     "seen": Feature("share of the shown vehicle that the log has images of", 1),
     "mirrored": Feature("share of the shown vehicle mirrored from its other side", None),
     "invented": Feature("share of the shown vehicle that the generator invented", -1),
-    "without_shares": Feature("1 if nothing says which parts of the vehicle were seen", 0),
+    "without_shares": Feature("1 if it is unknown which parts of the vehicle were seen", 0),
     "view_angle_deg": Feature("degrees from the log's views of the vehicle", -1),
     "camera_distance_m": Feature("metres from the log's nearest camera pose", -1, True),
     "camera_angle_deg": Feature("degrees from the log's nearest camera pose", -1, True),
     "held_out_psnr_db": Feature("PSNR in dB of the nearest held-out frames", 1),
     "held_out_ssim": Feature("SSIM of the nearest held-out frames", 1),
     "vehicle_px": Feature("size in pixels of the vehicle at the plan that changed most", 0, True),
-    "plan_change_m": Feature("metres by which the plan changed most", -1, True),
-    "margin_m": Feature("metres that the verdict is from flipping", 1, True),
-    "least_ttc_s": Feature("least time to collision in seconds, of a rollout without one", 1),
-    "noise_flips": Feature("share of the arm's rollouts under other noise that end otherwise", -1),
+    "plan_change_m": Feature("largest change between plans in metres", -1, True),
+    "margin_m": Feature("margin in metres before the verdict changes", 1, True),
+    "least_ttc_s": Feature(
+        "least time to collision in seconds, of a rollout without a collision", 1
+    ),
+    "noise_flips": Feature("share of the arm's rollouts with other noise that end differently", -1),
     "collision": Feature("1 if the verdict is a collision", 0),
 }
 """All features by name. Shares and angles of the vehicle are means over the images of the plans
@@ -108,7 +110,9 @@ def trust_features(
     """
     rollout, contact = metrics.rollout, metrics.collision.first_step
     if not len(rollout.plan_steps) or not cameras:
-        raise ValueError(f"trust_features: {metrics.plans} plans, {len(cameras)} cameras")
+        raise ValueError(
+            f"trust_features: {metrics.plans} plans, {len(cameras)} cameras, expected 1 or more"
+        )
     count = len(rollout.plan_steps)
     if contact is not None:
         count = max(1, int(np.searchsorted(rollout.plan_steps, contact)))
@@ -121,18 +125,18 @@ def trust_features(
     if len(changes):
         values["plan_change_m"] = float(changes.max())
     else:
-        missing["plan_change_m"] = "one plan led to the verdict"
+        missing["plan_change_m"] = "only one plan led to the verdict"
     values["margin_m"], closest = _margin(rollout, contact)
     least = None if metrics.ttc.ttc.value is None else float(metrics.ttc.per_cycle.min())
     if contact is None and least is not None:
         values["least_ttc_s"] = min(least, CAP)
     else:
-        reason = "it has no value" if contact is None else "the rollout collides"
+        reason = "the time to collision has no value" if contact is None else "the rollout collides"
         missing["least_ttc_s"] = reason
     if disturbed:
         values["noise_flips"] = float(np.mean([_flips(metrics, one) for one in disturbed]))
     else:
-        missing["noise_flips"] = "the arm was driven under one noise"
+        missing["noise_flips"] = "the arm was not driven with other noise"
     _add_shares(values, missing, coverage, steps)
     view = _add_views(values, missing, rollout, recorded, cameras, steps, changed)
     _add_street(values, missing, rollout, recorded, cameras, steps, frames)
@@ -256,6 +260,6 @@ def _add_street(
     quality = recorded.quality(rollout, steps, cameras, frames)
     for i, name in enumerate(("held_out_psnr_db", "held_out_ssim")):
         if quality is None:
-            missing[name] = "no held-out scores of the street"
+            missing[name] = "the street has no held-out scores"
         else:
             values[name] = quality[i]

@@ -47,7 +47,7 @@ class RolloutTrust:
 
 SIGHTLESS = RolloutTrust(
     1.0,
-    "The planner looks at no images, so the verdict does not depend on how the street and the "
+    "The planner uses no images, so the verdict does not depend on how the street and the "
     "vehicle look.",
     {},
     None,
@@ -63,7 +63,8 @@ def judge(features: TrustFeatures, calibration: Calibration) -> RolloutTrust:
     steps = _steps(features)
     told = [
         f"{_of_ten(value)} verdicts like this one are right: {_vehicle(features)}.",
-        f"It rests on {' and '.join(f'step {step} ({what})' for step, what in steps.items())}.",
+        f"The verdict rests on "
+        f"{' and '.join(f'step {step} ({what})' for step, what in steps.items())}.",
     ]
     lowering = [
         name
@@ -72,7 +73,7 @@ def judge(features: TrustFeatures, calibration: Calibration) -> RolloutTrust:
     ]
     if lowering:
         name = lowering[0]
-        told.append(f"What speaks against it most: {_told(name, features.values[name])}.")
+        told.append(f"The main reason for doubt: {_told(name, features.values[name])}.")
     reasons = dict.fromkeys(
         reason for name, reason in features.missing.items() if name not in _EXPECTED
     )
@@ -124,6 +125,6 @@ def _steps(features: TrustFeatures) -> dict[int, str]:
 def _told(name: str, value: float) -> str:
     """A feature with its value."""
     if name == "collision":
-        return "it is a collision" if value else "it is not a collision"
+        return "the verdict is a collision" if value else "the verdict is no collision"
     digits = 2 if name in ("held_out_ssim", "noise_flips") else 1
     return f"{FEATURES[name].what}, {value:.{digits}f}"

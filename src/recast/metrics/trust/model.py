@@ -68,7 +68,7 @@ def fit_model(
     """
     labels = np.asarray(agrees, np.float64)
     if len(features) == 0 or labels.shape != (len(features),):
-        raise ValueError(f"fit_model: {len(features)} rollouts, labels {labels.shape}")
+        raise ValueError(f"fit_model: {len(features)} rollouts, but labels of shape {labels.shape}")
     raw = np.stack([_row(values) for values in features])
     known = np.isfinite(raw)
     count = np.maximum(known.sum(axis=0), 1)

@@ -129,7 +129,7 @@ def trust_left_out(rollouts: Sequence[JudgedRollout], ridge: float = RIDGE) -> A
     """
     scenes = dict.fromkeys(one.scene for one in rollouts)
     if len(scenes) < 2:
-        raise ValueError(f"trust_left_out: {len(scenes)} scene, two are needed")
+        raise ValueError(f"trust_left_out: {len(scenes)} scenes, expected at least 2")
     found = np.zeros(len(rollouts))
     for scene in scenes:
         model = fit_rollouts([one for one in rollouts if one.scene != scene], ridge)

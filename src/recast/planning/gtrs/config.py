@@ -205,9 +205,9 @@ class ViewLayout(Record):
                 raise InputError(
                     where,
                     f"camera {name}",
-                    f"renders {width}x{height}, the planner needs three images in the proportion "
-                    f"{self.width}x{self.height}",
-                    "render it at such a size, or take a planner made for this one",
+                    f"renders {width}x{height}, but the planner needs three images with the aspect "
+                    f"ratio {self.width}:{self.height}",
+                    "render it at such a size, or use a planner made for its size",
                 )
         if first == (self.width, self.height):
             return self

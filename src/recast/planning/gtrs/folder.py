@@ -40,12 +40,12 @@ UNUSED = ("_query_embedding.", "_tf_decoder.", "_agent_head.")
 """Beginnings of names that released checkpoints hold and the model never uses."""
 
 _PICKLES = (b"PK\x03\x04", b"\x80")
-_MEND = "fetch or write the file anew, or give the sizes it was made with"
+_MEND = "download or write the file again, or give the network sizes that it was made with"
 CONFIG_FILE = "config.json"
 WEIGHTS_FILE = "weights.safetensors"
 VOCABULARY_FILE = "vocabulary.npy"
 
-_MEND_FOLDER = "write the folder anew with save_gtrs"
+_MEND_FOLDER = "write the folder again with save_gtrs"
 CHECKPOINT, VOCABULARY_OF_RELEASE, PLANNER = "gtrs_dense_vov.ckpt", "8192.npy", "planner"
 
 
@@ -163,7 +163,7 @@ def read_weights(path: str | Path) -> dict[str, Tensor]:
     bare = {name.removeprefix(PREFIX): tensor for name, tensor in tensors.items()}
     if len(bare) < len(tensors):
         raise InputError(
-            path, PREFIX, "stands before some names that are also there without it", _MEND
+            path, PREFIX, "is the prefix of some names that also appear without it", _MEND
         )
     return bare
 

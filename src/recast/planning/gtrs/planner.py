@@ -141,7 +141,7 @@ class GtrsPlanner(BasePlanner):
             raise InputError(
                 self._who,
                 "dt",
-                f"is {context.dt:g} s, its trajectories have a pose every {_DT} s",
+                f"is {context.dt:g} s, but the planner's trajectories have a pose every {_DT} s",
                 "simulate with dt 0.1",
             )
         self.model.eval()
@@ -207,9 +207,9 @@ class GtrsPlanner(BasePlanner):
                 raise InputError(
                     self._who,
                     f"view {view.name}",
-                    f"is {view.look} at {view.camera.width}:{view.camera.height}, and no camera "
+                    f"is {view.look} at {view.camera.width}:{view.camera.height}, but no camera "
                     "shows it",
-                    f"there are {directions(mounts)}; add recast.planning.virtual_mounts",
+                    f"add recast.planning.virtual_mounts; there are {directions(mounts)}",
                 )
         names = tuple(chosen.get(name, name) for name in self.views.cameras)
         require_cameras(names, mounts, self._who)

@@ -83,7 +83,9 @@ class PdmClosed:
         config: PdmConfig | None = None,
     ) -> None:
         if not planner_map.lanes:
-            raise InputError("map", "lanes", "there are none", "PDM-Closed needs a lane map")
+            raise InputError(
+                "map", "lanes", "are missing", "use a map with lanes: PDM-Closed needs them"
+            )
         unknown = [block for block in route if block not in planner_map.blocks]
         if unknown or not route:
             problem = f"the map lacks block {unknown[0]!r}" if unknown else "is empty"
@@ -241,8 +243,8 @@ class PdmClosedPlanner(BasePlanner):
             raise InputError(
                 "planner pdm-closed",
                 "map",
-                "the log has none",
-                "use a log with a map, or derive one from the drive",
+                "the log has no map",
+                "use a log with a map, or derive a map from the drive",
             )
         self._times = np.asarray(context.dt * np.arange(1, WAYPOINTS + 1), np.float64)
         planned = DT * self.config.plan_steps
@@ -250,7 +252,7 @@ class PdmClosedPlanner(BasePlanner):
             raise InputError(
                 "planner pdm-closed",
                 "dt",
-                f"is {context.dt:g} s: {WAYPOINTS} waypoints reach beyond its {planned:g} s",
+                f"is {context.dt:g} s: {WAYPOINTS} waypoints exceed its plan of {planned:g} s",
                 f"simulate with dt {planned / WAYPOINTS:g} or less",
             )
         lanes = planner_map(context.map)

@@ -45,17 +45,17 @@ def photographs_of(photos: Path, row: VehicleRow, settings: IngestSettings) -> t
     folder = member(photos, row.folder or row.id, row.id, "folder")
     with disk_errors(folder):
         if not folder.is_dir():
-            mend = f"add it, or take {row.id} off the table"
+            mend = f"add the folder, or remove {row.id} from the table"
             raise InputError(folder, "folder", "is missing", mend)
         files = [path for path in folder.iterdir() if path.is_file() and path.name[0] != "."]
     found = sorted((f for f in files if f.suffix.lower() in SUFFIXES), key=natural_order)
     if len(found) != settings.views:
         others = len(files) - len(found)
-        looked = f" ({others} other files were not looked at)" if others else ""
+        looked = f" ({others} other files were ignored)" if others else ""
         raise InputError(
             folder,
             "photographs",
-            f"are {len(found)} where the set has {settings.views} views{looked}",
+            f"are {len(found)}, but the set has {settings.views} views{looked}",
             "add the missing azimuths, or give `views`",
         )
     ordered = (
@@ -67,7 +67,12 @@ def photographs_of(photos: Path, row: VehicleRow, settings: IngestSettings) -> t
 
 def _by_order(found: list[Path], row: VehicleRow, settings: IngestSettings) -> list[Path]:
     if row.front > len(found):
-        raise InputError(row.id, "front", f"is {row.front} of {len(found)}", "count from 1")
+        raise InputError(
+            row.id,
+            "front",
+            f"is {row.front}, but there are {len(found)} photographs",
+            "count from 1",
+        )
     turned = found[row.front - 1 :] + found[: row.front - 1]
     return [turned[0], *reversed(turned[1:])] if settings.clockwise else turned
 
@@ -79,7 +84,7 @@ def _by_azimuth(folder: Path, found: list[Path], row: VehicleRow) -> list[Path]:
             folder,
             "azimuths_deg",
             f"are {len(azimuths)} for {len(found)} photographs",
-            "give one for each",
+            "give one azimuth for each photograph",
         )
     step = 360 / len(found)
     places: dict[int, Path] = {}
@@ -90,7 +95,7 @@ def _by_azimuth(folder: Path, found: list[Path], row: VehicleRow) -> list[Path]:
             raise InputError(
                 path,
                 "azimuth",
-                f"{azimuth:g} is not regular: one in each {step:g} degrees from 0 is expected",
+                f"{azimuth:g} is not regular: expected one at every {step:g} degrees from 0",
                 "take the photographs at regular azimuths",
             )
         places[place] = path
@@ -110,16 +115,16 @@ def check_sizes(paths: Sequence[Path], settings: IngestSettings) -> None:
             raise InputError(
                 path,
                 "size",
-                f"is {size[0]}x{size[1]} where {paths[0].name} has {width}x{height}",
-                "give all photographs of a vehicle one size",
+                f"is {size[0]}x{size[1]}, but {paths[0].name} has {width}x{height}",
+                "give all photographs of a vehicle the same size",
             )
     scale = min(settings.width / width, settings.height / height)
     if settings.fov_deg is not None and round(width * scale) != settings.width:
         raise InputError(
             paths[0],
             "size",
-            f"is {width}x{height}, of another shape than {settings.width}x{settings.height}",
-            "with `fov`, give `width` and `height` of the photographs' shape",
+            f"is {width}x{height}, not of the aspect ratio of {settings.width}x{settings.height}",
+            "with `fov`, give a `width` and `height` of the photographs' aspect ratio",
         )
 
 
@@ -148,7 +153,9 @@ def read_poses(folder: Path) -> Poses | None:
     if not found:
         return None
     if len(found) > 1:
-        raise InputError(folder, "poses", f"are in {' and in '.join(found)}", "keep one of them")
+        raise InputError(
+            folder, "poses", f"are in {' and in '.join(found)}", "keep one of these files"
+        )
     path = folder / found[0]
     poses: Poses = {}
     for name, pose in _READERS[found[0]](path):
@@ -157,7 +164,7 @@ def read_poses(folder: Path) -> Poses | None:
             raise InputError(path, name, "has two poses", _MEND)
         poses[name] = _rigid(path, name, pose)
     if not poses:
-        raise InputError(path, "poses", "are none", _MEND)
+        raise InputError(path, "poses", "are missing", _MEND)
     return poses
 
 
@@ -187,10 +194,10 @@ def _read_colmap(path: Path) -> list[tuple[str, NDArray[np.float64]]]:
             break  # an empty line at the end
         try:
             if len(words) != 10:
-                raise ValueError(f"has {len(words)} words, not 10")
+                raise ValueError(f"has {len(words)} words, expected 10")
             numbers = np.array([float(word) for word in words[1:8]])
             if not np.isfinite(numbers).all() or not numbers[:4].any():
-                raise ValueError("has no finite pose")
+                raise ValueError("has a pose that is not finite")
         except ValueError as error:
             raise InputError(path, f"photograph {number + 1}", str(error), _MEND) from None
         rotation = se3.quat_to_matrix(numbers[:4] / np.linalg.norm(numbers[:4]))
@@ -205,7 +212,7 @@ def _rigid(path: Path, name: str, pose: NDArray[np.float64]) -> NDArray[np.float
     rotation = pose[:3, :3] / scale if scale > 0 else np.zeros((3, 3))
     off = np.abs(rotation @ rotation.T - np.eye(3)).max()
     if not off < _RIGID_WITHIN or not np.allclose(pose[3], [0, 0, 0, 1], atol=_RIGID_WITHIN):
-        raise InputError(path, name, "has a pose that is no rotation and translation", _MEND)
+        raise InputError(path, name, "has a pose that is not a rotation and a translation", _MEND)
     return se3.from_rotation_translation(rotation, pose[:3, 3])
 
 

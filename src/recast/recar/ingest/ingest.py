@@ -143,7 +143,7 @@ class _Ingest:
         for path in sorted(p for p in self.photos.iterdir() if p.is_dir() and p.name[0] != "."):
             if path.name not in known:
                 problem = f"has no row for {path.name}"
-                self.skip(path.name, InputError(table, "id", problem, "add it"))
+                self.skip(path.name, InputError(table, "id", problem, "add the row"))
         candidates = []
         for row in rows:
             try:
@@ -174,7 +174,7 @@ class _Ingest:
                     identity.folder / IDENTITY_FILE,
                     "record",
                     "differs from its row in the table",
-                    "remove the folder to have it made anew",
+                    "delete the folder to have it made again",
                 )
         asked = {candidate.row.id for candidate in left}
         for name, identity in finished.items():
@@ -197,13 +197,13 @@ class _Ingest:
                     InputError(
                         candidate.photographs[0].parent,
                         "duplicate",
-                        f"{count} of {record.views} photographs are those of {other}"
+                        f"{count} of {record.views} photographs are the same as those of {other}"
                         f"{', which is in the other split' if len(splits) == 2 else ''}",
-                        "keep one of the two; if both are right, lower `duplicate_bits`",
+                        "keep one of the two vehicles; if both are right, lower `duplicate_bits`",
                     ),
                 )
                 return
-            doubts.append(f"{count} of {record.views} photographs are like those of {other}")
+            doubts.append(f"{count} of {record.views} photographs look like those of {other}")
         write_entry(self.out, identity.id, found.hashes, tuple(doubts))
         with files.atomic_folder(self.out / identity.id) as partial:
             for index, picture in enumerate(found.pictures):
@@ -224,9 +224,9 @@ class _Ingest:
         return InputError(
             self.photos,
             "vehicles",
-            f"{len(self.skipped)} of {total} cannot be taken, such as {name} "
+            f"{len(self.skipped)} of {total} cannot be used, such as {name} "
             f"({first.field}: {first.problem}, in {Path(first.where).name}); {report}{others}",
-            "mend them and run again, or leave them out with `skip_bad`",
+            "correct them and run again, or leave them out with `skip_bad`",
         )
 
     def _remember(self, identity: Identity) -> None:

@@ -42,7 +42,7 @@ def outline_doubts(alphas: Sequence[Image], names: Sequence[str]) -> tuple[str, 
     for first, second, overlap in _unlike(masks):
         view, other = sorted((first, second), key=lambda index: areas[index])
         lines[view] = (
-            f"{names[view]}: the mask is unlike the mirrored one of {names[other]} "
+            f"{names[view]}: the mask differs from the mirrored mask of {names[other]} "
             f"(overlap {overlap:.2f}): is a part missing?"
         )
     for view, mask in enumerate(masks):
@@ -50,13 +50,13 @@ def outline_doubts(alphas: Sequence[Image], names: Sequence[str]) -> tuple[str, 
         filled = mask.sum() / max(cv2.contourArea(hull), 1.0)
         if filled < LEAST_FILLED:
             lines[view] = (
-                f"{names[view]}: the mask has holes or parts: it covers {filled:.0%} of its hull"
+                f"{names[view]}: the mask has holes or loose parts, fills {filled:.0%} of its hull"
             )
     if len(lines) > max(MOST_LISTED * len(masks), 1):
         doubtful = ", ".join(names[view] for view in sorted(lines))
         return (
-            f"{len(lines)} of {len(masks)} masks have holes, or are unlike those of the other "
-            f"side; are the first photograph's azimuth and the masks right? See {doubtful}",
+            f"{len(lines)} of {len(masks)} masks have holes or differ from those of the other "
+            f"side; check the first photograph's azimuth and these masks: {doubtful}",
         )
     return tuple(lines[view] for view in sorted(lines))
 

@@ -161,7 +161,7 @@ def prepare(
         elif alpha is None:
             if remover is None:
                 raise InputError(
-                    path, "alpha", "is absent", "cut out the background, or name a `remover`"
+                    path, "alpha", "is absent", "cut out the background, or choose a `remover`"
                 )
             cutout = remover.remove(rgb, candidate.row.category)
             alpha = cutout.alpha
@@ -180,8 +180,8 @@ def prepare(
         raise InputError(
             second,
             "duplicate",
-            f"is the same picture as {first.name}",
-            "replace it; if both are right, lower `duplicate_bits`",
+            f"is the same image as {first.name}",
+            "replace one of them; if both are right, lower `duplicate_bits`",
         )
     doubts += outline_doubts(alphas, [path.name for path in candidate.photographs])
     return Prepared(tuple(pictures), stacked, tuple(doubts))

@@ -117,11 +117,11 @@ class IngestSettings:
                 raise InputError(option, "value", f"is {value}", f"give {low} to {high}")
         if self.layout not in LAYOUTS:
             raise InputError(
-                "`layout`", self.layout, "is unknown", f"choose of {', '.join(LAYOUTS)}"
+                "`layout`", self.layout, "is unknown", f"choose one of {', '.join(LAYOUTS)}"
             )
         for option, text in (("`licence`", self.licence), ("`source`", self.source)):
             if not text.strip():
-                raise InputError(option, "value", "is empty", "say it in words")
+                raise InputError(option, "value", "is empty", "describe it in words")
 
     @property
     def azimuth_within(self) -> float:
@@ -212,9 +212,9 @@ def read_table(path: Path) -> tuple[list[VehicleRow], dict[str, InputError]]:
     twice = {name: count for name, count in Counter(names).items() if name and count > 1}
     rows = [row for row in rows if row.id not in twice]
     for name, count in twice.items():
-        bad[name] = InputError(path, name, f"has {count} rows", "keep one of them")
+        bad[name] = InputError(path, name, f"has {count} rows", "keep one of the rows")
     if not rows and not bad:
-        raise InputError(path, "vehicles", "are none", "write a row for each folder")
+        raise InputError(path, "vehicles", "are missing", "write a row for each folder")
     return rows, bad
 
 
@@ -229,8 +229,8 @@ def find_table(photos: Path) -> Path:
         raise InputError(
             photos,
             " or ".join(TABLES),
-            "are both there" if found else "is missing",
-            "write one of them, with at least id and kind of each vehicle, or name it by `table`",
+            "both exist" if found else "is missing",
+            "write one file with at least id and kind of each vehicle, or give its path as `table`",
         )
     return found[0]
 

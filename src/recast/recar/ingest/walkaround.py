@@ -52,7 +52,7 @@ def pick_photographs(
         raise InputError(
             folder,
             "photographs",
-            f"are {len(found)} where the set has {views} views",
+            f"are {len(found)}, but the set has {views} views",
             "give fewer `views`",
         )
     known, azimuths, elevations = _directions(folder, found, row)
@@ -105,7 +105,9 @@ def around(poses: Array, front: int) -> tuple[Array, Array]:
 def _photographs(folder: Path) -> list[Path]:
     with disk_errors(folder):
         if not folder.is_dir():
-            raise InputError(folder, "folder", "is missing", "add it, or take it off the table")
+            raise InputError(
+                folder, "folder", "is missing", "add the folder, or remove its row from the table"
+            )
         inner = folder / "images"
         files = (inner if inner.is_dir() else folder).iterdir()
         found = [path for path in files if path.is_file() and path.name[0] != "."]
@@ -122,7 +124,7 @@ def _directions(
                 folder,
                 "azimuths_deg",
                 f"are {len(row.azimuths_deg)} for {len(found)} photographs",
-                "give one for each",
+                "give one azimuth for each photograph",
             )
         return found, np.array(row.azimuths_deg) % 360.0, np.zeros(len(found))
     poses = read_poses(folder)
@@ -137,7 +139,7 @@ def _directions(
         raise InputError(
             row.id,
             "front",
-            "is not given: poses do not say where the vehicle looks",
+            "is missing: poses do not say where the front of the vehicle is",
             "give the number of the photograph that shows its front, from 1",
         )
     known = [path for path in found if path.name in poses]
@@ -145,8 +147,8 @@ def _directions(
         raise InputError(
             row.id,
             "front",
-            f"is {row.front}, which has no pose, of {len(found)} photographs",
-            "name another one",
+            f"is {row.front}, but that photograph has no pose (of {len(found)} photographs)",
+            "give the number of another photograph",
         )
     stacked = np.stack([poses[path.name] for path in known])
     try:
@@ -170,7 +172,7 @@ def _nearest(
             raise InputError(
                 folder,
                 "azimuths",
-                f"no photograph within {within_deg:g} degrees of {goal:g}",
+                f"no photograph is within {within_deg:g} degrees of {goal:g}",
                 "give fewer `views`, or a larger `azimuth_within`",
             )
         taken.append(int(np.argmin(np.where(fits, off + unlike, np.inf))))
@@ -190,7 +192,9 @@ def _doubts(
     doubts = []
     step = 360.0 / len(photographs)
     if off > AZIMUTH_WITHIN * step:
-        doubts.append(f"azimuths are off by up to {off:.1f} of {step:g} degrees")
+        doubts.append(
+            f"azimuths are off by up to {off:.1f} degrees (views are {step:g} degrees apart)"
+        )
     if np.ptp(elevations) > 1.0:
         doubts.append(f"elevations are {elevations.min():.1f} to {elevations.max():.1f} degrees")
     if unknown:

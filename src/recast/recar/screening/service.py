@@ -192,7 +192,7 @@ class ScreeningService:
             raise InputError(
                 cache.folder,
                 "targets",
-                "there are none to screen",
+                "none can be screened",
                 "make targets first: recast recar targets",
             )
         if pictures is not None and pictures.record.name != cache.record.vehicle_set:
@@ -200,7 +200,7 @@ class ScreeningService:
                 pictures.folder,
                 "set",
                 f"is {pictures.record.name!r}, but the targets are of {cache.record.vehicle_set!r}",
-                "name the set that the targets were made from",
+                "give the set that the targets were made from",
             )
         self._pictures = pictures
         self._views = () if pictures is None else nearest_views(pictures.record)

@@ -43,7 +43,7 @@ from recast.recar.views import MOST_BYTES, check_header
 
 SHARD_BYTES = 256 * 10**6
 
-_MEND = "name another folder, or use the options of the shards in it"
+_MEND = "choose another folder, or use the options of the shards in it"
 
 
 @dataclass(frozen=True)
@@ -163,7 +163,7 @@ def _check_out(out: Path, record: SetRecord, shard_bytes: int) -> None:
     if not out.exists() or (out.is_dir() and not any(out.iterdir())):
         return
     if not (out / INDEX_FILE).is_file():
-        raise InputError(out, "output folder", "exists and holds no shards", "name a new folder")
+        raise InputError(out, "output folder", "exists and holds no shards", "choose a new folder")
     found = read_record(out / INDEX_FILE, IndexRecord, SHARDS_VERSION, _MEND, SHARDS_FORMAT)
     if found.shard_bytes != shard_bytes:
         raise InputError(

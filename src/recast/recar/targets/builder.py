@@ -131,7 +131,7 @@ def _begin(out: Path, record: CacheRecord) -> TargetCache:
         if not out.exists() or (out.is_dir() and inside <= {files.partial_name(CACHE_FILE).name}):
             return TargetCache(out, record, {}, {})
         raise InputError(
-            out, "output folder", "exists and is not a target cache", "name a new or empty folder"
+            out, "output folder", "exists and is not a target cache", "choose a new or empty folder"
         )
     cache = TargetCache.open(out, complete=False)
     free: dict[str, Any] = {
@@ -146,7 +146,7 @@ def _begin(out: Path, record: CacheRecord) -> TargetCache:
             out / CACHE_FILE,
             name,
             "differs: the folder holds targets of another configuration",
-            "name another folder, or use the options of the targets in it",
+            "choose another folder, or use the options of the targets in it",
         )
     return cache
 

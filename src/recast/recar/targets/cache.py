@@ -269,8 +269,8 @@ class TargetCache:
             raise InputError(
                 self.folder,
                 "targets",
-                "none of them is accepted",
-                "lower the threshold, or make more",
+                "none is accepted",
+                "lower the threshold, or make more targets",
             )
         return found[0], found[1]
 

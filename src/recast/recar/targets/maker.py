@@ -274,8 +274,8 @@ def _aesthetic_files(settings: FilterSettings) -> tuple[Path, Path]:
         raise InputError(
             missing,
             "weights",
-            "are not named",
-            "the aesthetic filter needs the predictor's .pth file and a folder of CLIP ViT-L/14; "
-            "small models use `filter` agreement",
+            "are not given",
+            "give the predictor's .pth file and a folder of CLIP ViT-L/14, or for small models "
+            "use `filter` agreement",
         )
     return settings.predictor, settings.clip

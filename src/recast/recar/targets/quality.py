@@ -339,7 +339,7 @@ def check_clip(folder: Path, width: int) -> None:
             folder / "config.json",
             "projection_dim",
             f"is {found}, the predictor needs {width}",
-            "name a folder with the files of openai/clip-vit-large-patch14",
+            "give a folder with the files of openai/clip-vit-large-patch14",
         )
 
 

@@ -62,7 +62,7 @@ def nearest_views(record: SetRecord) -> tuple[int, ...]:
             raise InputError(
                 record.name,
                 "azimuths",
-                f"no view within {FARTHEST_DEG:g} degrees of {wanted:g}",
+                f"no view is within {FARTHEST_DEG:g} degrees of {wanted:g}",
                 "add views: targets need the front, rear, left and right",
             )
         chosen.append(index)

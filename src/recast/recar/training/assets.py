@@ -130,7 +130,7 @@ class AssetStore:
         self.folder = folder
         self.paths = sorted(folder.glob("asset-*.npz"))
         if not self.paths:
-            raise InputError(folder, "assets", "there are none", "make some: recast recar assets")
+            raise InputError(folder, "assets", "are missing", "make some: recast recar assets")
         self._read = lru_cache(maxsize=_KEPT)(read_asset)
 
     def __len__(self) -> int:

@@ -118,8 +118,8 @@ def open_conditions(folder: Path) -> ConditionSource:
         raise InputError(
             folder,
             "pictures",
-            f"the folder holds no {SET_FILE}, {INDEX_FILE} or assets (*.npz)",
-            "name a vehicle set, or a folder of training assets",
+            f"the folder contains no {SET_FILE}, {INDEX_FILE} or assets (*.npz)",
+            "give a vehicle set, or a folder of training assets",
         )
     return AssetConditions(paths)
 

@@ -24,7 +24,7 @@ from recast.trellis.models import TrellisModel
 RECORD_FILE = "training.json"
 _FORMAT = "recast-training"
 _VERSION = 1
-_MEND_OUT = "name another output folder"
+_MEND_OUT = "choose another output folder"
 
 
 def model_paths(folder: Path, record: PipelineRecord) -> list[Path]:
@@ -147,7 +147,7 @@ def read_training_record(folder: Path) -> TrainingRecord:
     Raises:
         InputError: missing, or wrong.
     """
-    mend = "name a folder that recast recar train wrote"
+    mend = "give a folder that recast recar train wrote"
     return read_record(folder / RECORD_FILE, TrainingRecord, _VERSION, mend, _FORMAT)
 
 
@@ -167,8 +167,8 @@ def check_same_inputs(folder: Path, inputs: StageInputs) -> None:
                 raise InputError(path, f"inputs.{name}", f"is {theirs!r}, not {ours!r}", _MEND_OUT)
         _check_config(path, found.config, inputs.config)
     elif folder.exists() and any(folder.iterdir()):
-        problem = f"holds other files and no {RECORD_FILE}"
-        raise InputError(folder, "output folder", problem, "name another folder")
+        problem = f"contains other files, but no {RECORD_FILE}"
+        raise InputError(folder, "output folder", problem, "choose another folder")
 
 
 def _check_config(path: Path, found: StageConfig, asked: StageConfig) -> None:

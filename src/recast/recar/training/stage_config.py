@@ -196,7 +196,9 @@ def chosen_stage(stage: str | None, file: Path | None) -> StageConfig:
         raise InputError(
             "`stage`",
             "value",
-            "neither it nor `config` is given" if stage is None else "`config` is given too",
+            "is missing, and so is `config`"
+            if stage is None
+            else "is given together with `config`",
             "give one of the two",
         )
     if file is not None:

@@ -87,7 +87,7 @@ def open_stage(request: StageRequest, processes: Processes) -> StageParts:
     for flow in request.flows:
         if flow not in config.settings:
             raise InputError(
-                "`flow`", flow, f"is not trained by {config.name}", "name another flow"
+                "`flow`", flow, f"is not trained by {config.name}", "choose another flow"
             )
     for name, settings in config.settings.items():
         parts = settings.accumulate * processes.count
@@ -144,7 +144,7 @@ def _check_pictures(
             request.pictures,
             "pictures",
             f"{len(missing)} vehicles with a target have no images: {_listed(missing)}",
-            "name the set that the targets were made from",
+            "give the set that the targets were made from",
         )
     if isinstance(pictures, SetConditions):
         wrong = tuple(one for one in train if pictures.split(one) != "train")

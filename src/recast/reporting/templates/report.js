@@ -38,7 +38,7 @@ function makePlayer(root) {
     last = null;
     for (const film of films) film.pause();
     play.textContent = "▶ Play";
-    play.setAttribute("aria-label", "Play all films of this scenario");
+    play.setAttribute("aria-label", "Play all videos of this scenario");
   };
   const go = (time) => { pause(); load(); seek(time); };
   const stride = (steps) => go(Math.round(now / step + steps) * step);

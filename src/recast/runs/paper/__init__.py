@@ -60,6 +60,9 @@ def choose_target(log: DrivingLog) -> str:
     best = max(counts, key=lambda track: counts[track], default=None)
     if best is None or counts[best] == 0:
         raise InputError(
-            log.name, "track auto", "no vehicle is seen well enough", "name a track, see log info"
+            log.name,
+            "track auto",
+            "no vehicle is seen well enough",
+            "name a track of `recast log info`",
         )
     return best

@@ -71,7 +71,7 @@ class SunBelief:
     def explain(self) -> str:
         """One line for people."""
         if self.certainty < _VAGUE:
-            return "the sun's direction cannot be told: light depends on the place, not the heading"
+            return "the sun's direction is unknown: light depends on the place, not on the heading"
         x, y, _ = self.probability @ directions()[0]
         return (
             f"sun towards azimuth {np.degrees(np.arctan2(y, x)):.0f} degrees (0 is world x), "

@@ -93,7 +93,7 @@ def cell_is(folder: Path, key: str) -> bool:
 def read_cell(folder: Path) -> Cell:
     """Read what `write_cell` wrote; InputError if it is missing or broken."""
     record = read_json(folder / _CELL)
-    mend = "remove it and run again"
+    mend = "delete it and run again"
     try:
         plain = {name: record[name] for name in _MEMBERS}
         plain |= {name: tuple(plain[name]) for name in ("views", "scores")}
@@ -103,10 +103,10 @@ def read_cell(folder: Path) -> Cell:
 
 
 def read_strip(folder: Path, name: str = "strip") -> Image:
-    """A picture (H, W, 3) of a cell; InputError if it is missing or broken."""
+    """An image (H, W, 3) of a cell; InputError if it is missing or broken."""
     path = folder / f"{name}.png"
-    mend = "remove its folder and run again"
-    return rgb(decode_image(path, path, ("PNG",), what="picture", mend=mend))
+    mend = "delete its folder and run again"
+    return rgb(decode_image(path, path, ("PNG",), mend=mend))
 
 
 def place(

@@ -104,7 +104,7 @@ def study_table(block: StudyBlock) -> Table:
 
 def paper_table(block: StudyBlock, beside: Mapping[str, str]) -> Table:
     """Scores in the paper's columns, and in brackets what the paper has."""
-    return _rich("Beside the paper: here (there)", *_paper_lines(block, beside))
+    return _rich("Compared with the paper: ours (paper)", *_paper_lines(block, beside))
 
 
 def differences_table(block: StudyBlock) -> Table:
@@ -193,12 +193,12 @@ def _difference_lines(block: StudyBlock) -> _Lines:
 
 def _paper_markdown(block: StudyBlock, beside: Mapping[str, str]) -> list[str]:
     return [
-        "## Beside the paper: here (there)",
+        "## Compared with the paper: ours (paper)",
         "",
         *_markdown(*_paper_lines(block, beside)),
         "",
-        "The paper's figures are of its held-out RECAR vehicles and the published "
-        "weights, ours of the set above: compare the order of rows. A dash: not run or not "
+        "The paper's figures are for its held-out RECAR vehicles and the published weights, "
+        "ours for the set above: compare only the order of rows. A dash means: not run or not "
         "measured here.",
         "",
     ]
@@ -224,27 +224,27 @@ def _notes(facts: StudyFacts, blocks: Sequence[StudyBlock]) -> list[str]:
     keys = set(blocks[0].rows[0].scores)
     pictures = ", ".join(f"{block.views} {block.condition}" for block in blocks)
     notes = [
-        "All models get the same image of a vehicle, one view by seed that is not a target; views "
-        f"are compared before black {_SEEN[facts.targets]}. Scores are means over the vehicles "
-        "that every model made, each vehicle counting the same.",
-        f"Vehicles are placed {_PLACED[facts.placement]}; pictures that were drawn elsewhere are "
-        "taken as they are.",
-        f"Intervals: percentile bootstrap over vehicles, {facts.samples} samples; `better` names "
-        "the model that the interval favours, if it does not hold zero. They tell about other "
-        "vehicles, not about other trainings or seeds.",
-        f"FD is the Frechet distance to the photographs of the same views ({pictures}). Over few "
-        "pictures it is too large, the more so the more dimensions the features have: compare it "
-        "within a table, not with other studies.",
+        "All models get the same image of a vehicle: one view, chosen by the seed, that is not a "
+        f"target. Views are compared on a black background, {_SEEN[facts.targets]}. Scores are "
+        "means over the vehicles that every model made; each vehicle has the same weight.",
+        f"Vehicles are placed {_PLACED[facts.placement]}. Images that were drawn elsewhere are "
+        "used as they are.",
+        f"Intervals: percentile bootstrap over vehicles, {facts.samples} samples. `better` names "
+        "the model that the interval favours, if it excludes zero. The intervals cover other "
+        "vehicles, not other training runs or seeds.",
+        f"FD is the Frechet distance to the photographs of the same views ({pictures}). With few "
+        "images it is too large, more so for features with more dimensions. Compare it within a "
+        "table, not with other studies.",
         "Toy features are 128 handcrafted numbers (colours and gradients in 4 x 4 cells), a "
-        "stand-in that tells colour and layout; their figures compare with no published ones.",
+        "substitute that measures colour and layout. Do not compare them with published figures.",
     ]
     if facts.perturbations is not None:
         notes.append(
-            "Perturbed inputs are never left clean, whatever rho_clean says; all models get the "
-            "same perturbed picture."
+            "In the perturbed condition every input is perturbed, whatever `rho_clean` says. All "
+            "models get the same perturbed image."
         )
     if "psnr_vehicle" in keys:
-        notes.append("PSNR vehicle is over the pixels of either outline.")
+        notes.append("PSNR vehicle is computed over the pixels inside either outline.")
     return notes
 
 

@@ -103,7 +103,7 @@ def vehicle_file(folder: Path, id: str) -> Path:
     if len(found) != 1:
         many = f"{len(found)} files: " + ", ".join(path.name for path in found)
         problem = many if found else "no file of this vehicle"
-        mend = f"one of {', '.join(VEHICLE_SUFFIXES)} is wanted"
+        mend = f"give one file with a suffix of {', '.join(VEHICLE_SUFFIXES)}"
         raise InputError(folder, id, f"has {problem}", mend)
     return found[0]
 
@@ -145,7 +145,9 @@ def read_views(folder: Path, case: ActorCase) -> list[Image]:
 
 def _check_name(name: str) -> str:
     if not _NAME.fullmatch(name):
-        raise ValueError("letters, digits, '.', '_' and '-', at most 40, the first one no sign")
+        raise ValueError(
+            "use at most 40 letters, digits, '.', '_' and '-'; begin with a letter or digit"
+        )
     return name
 
 
@@ -202,12 +204,17 @@ def read_rows(path: Path) -> tuple[StudyRecord, dict[str, StudyModel]]:
     names: set[str] = set()
     for row in record.rows:
         if row.name in names:
-            raise InputError(path, row.name, "is there twice", "name each row once")
+            raise InputError(path, row.name, "is listed twice", "give each row its own name")
         names.add(row.name)
         if row.source is not None:
             models[row.name] = StudyModel(_resolved(path.parent, row.source), row.axes)
     if not models:
-        raise InputError(path, "rows", "have no source", "name a model or results of one row")
+        raise InputError(
+            path,
+            "rows",
+            "have no source",
+            "give the source of at least one row: a model or results",
+        )
     return record, models
 
 
@@ -232,12 +239,12 @@ def parse_models(texts: Sequence[str]) -> dict[str, StudyModel]:
             raise InputError(
                 "`model`",
                 text,
-                "is not NAME=WHAT",
+                "is not of the form NAME=WHAT",
                 "give a name of letters, digits, '.', '_' and '-', then = and a model folder, "
                 "a generator, a PLY, files:DIR or views:DIR",
             )
         if name in models:
-            raise InputError("`model`", name, "is named twice", "name each model once")
+            raise InputError("`model`", name, "is given twice", "give each model its own name")
         models[name] = StudyModel(source)
     return models
 
@@ -278,7 +285,7 @@ def _results_hash(model: StudyModel, cases: Sequence[ActorCase]) -> dict[str, st
             model.folder,
             "results",
             "is not a folder",
-            "put the results there, or write null for the source of their row",
+            "put the results there, or set the source of this row to null",
         )
     found = {case.id: vehicle_hash(model, case) for case in cases}
     if not any(found.values()):
@@ -287,7 +294,7 @@ def _results_hash(model: StudyModel, cases: Sequence[ActorCase]) -> dict[str, st
         raise InputError(
             model.folder,
             "results",
-            f"hold no {wanted} of any vehicle, such as {cases[0].id}",
+            f"contain no {wanted} for any vehicle, such as {cases[0].id}",
             "name them as `recast eval inputs` lists them",
         )
     return found

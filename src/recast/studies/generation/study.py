@@ -62,7 +62,7 @@ def run_study(
     """
     require_range(1, workers=workers, samples=settings.samples)
     if not settings.models:
-        raise InputError("`model`", "models", "none given", "give NAME=WHAT at least once")
+        raise InputError("`model`", "models", "none is given", "give NAME=WHAT at least once")
     cases = study_cases(settings)
     sources = {
         name: model_hash(what, cases, settings.conditions) for name, what in settings.models.items()
@@ -84,7 +84,7 @@ def _begin(
     out: Path, settings: StudySettings, cases: Sequence[ActorCase], sources: Mapping[str, str]
 ) -> None:
     if out.exists() and not out.is_dir():
-        raise InputError(out, "output folder", "is a file", "name another one")
+        raise InputError(out, "output folder", "is a file", "choose another folder")
     if out.is_dir() and any(out.iterdir()):
         path = out / STUDY_FILE
         record = read_json(path) if path.is_file() else None
@@ -92,8 +92,8 @@ def _begin(
             raise InputError(
                 out,
                 "output folder",
-                "holds something else than a study",
-                "name another one or empty it",
+                "contains other files than those of a study",
+                "choose another folder, or empty this one",
             )
     write_json(out / STUDY_FILE, _record(settings, cases, sources, complete=False))
 
@@ -181,7 +181,7 @@ def _summaries(
             )
         except ValueError as error:
             raise InputError(
-                out, "vehicles", str(error), "see the failures in cells/*/*/*/cell.json"
+                out, "vehicles", str(error), "read the reasons in cells/*/*/*/cell.json"
             ) from None
     return tuple(blocks)
 
@@ -193,7 +193,7 @@ def _check_some_made(cells: Mapping[str, Sequence[Cell]]) -> None:
                 name,
                 "vehicles",
                 f"none could be made; {mine[0].id}: {mine[0].failure}",
-                "see that the model fits these pictures, or leave it out",
+                "check that the model fits these images, or leave it out",
             )
 
 

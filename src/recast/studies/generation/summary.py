@@ -110,7 +110,9 @@ def summarize(
     }
     identities = tuple(id for id in truth if not any(id in failed for failed in failures.values()))
     if not identities:
-        raise ValueError(f"summarize: no vehicle was made by every model on {condition} inputs")
+        raise ValueError(
+            f"summarize: there is no vehicle that every model made from {condition} inputs"
+        )
     chosen = {
         model: {cell.id: cell for cell in mine if cell.id in set(identities)}
         for model, mine in cells.items()

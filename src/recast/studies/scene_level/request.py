@@ -67,7 +67,7 @@ class NetworkFiles:
         for name in _FILES:
             path = getattr(self, name)
             if path is not None and not path.exists():
-                raise InputError(path, name, "is missing", "name a file or folder that is there")
+                raise InputError(path, name, "is missing", "give a file or folder that exists")
             if path is not None:
                 found[name] = folder_hash(path) if path.is_dir() else file_hash(path)
         if self.vqa is not None:

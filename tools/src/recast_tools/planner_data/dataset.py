@@ -175,7 +175,7 @@ def _next(
             stage.world.name,
             f"seed {stage.world.seed}",
             "has no room for the ego",
-            "this should not happen; take another `seed`",
+            "use another `seed`; please report this, it should not happen",
         )
     return found, False
 
@@ -184,13 +184,15 @@ def _open(out: Path, record: DatasetRecord, vocabulary: Trajectories) -> None:
     path = out / RECORD_FILE
     if path.exists():
         if read_record(path, DatasetRecord, VERSION, MEND, record.format) != record:
-            raise InputError(path, "settings", "differ from those asked for", MEND)
+            raise InputError(path, "settings", "differ from those of this command", MEND)
         if not np.array_equal(read_vocabulary(out / VOCABULARY_FILE), vocabulary):
-            raise InputError(out / VOCABULARY_FILE, "vocabulary", "is another one", MEND)
+            raise InputError(
+                out / VOCABULARY_FILE, "vocabulary", "differs from that of this command", MEND
+            )
         return
     # A kill may have left the vocabulary without the record.
     if out.exists() and any(entry.name != VOCABULARY_FILE for entry in out.iterdir()):
-        raise InputError(out, "output folder", "holds something else", "name another one")
+        raise InputError(out, "output folder", "contains other files", "choose another folder")
     write_vocabulary(out / VOCABULARY_FILE, vocabulary)
     write_json(path, record.model_dump(mode="json"))  # last: where it is, the vocabulary is
 

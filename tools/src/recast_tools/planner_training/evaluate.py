@@ -169,8 +169,8 @@ def truth_sheet(store: SampleStore, first: int, count: int) -> Image:
         InputError: there are no such samples.
     """
     if not 0 <= first < first + count <= len(store):
-        problem = f"{first} to {first + count - 1} are not there"
-        raise InputError(store.folder, "samples", problem, f"there are {len(store)}")
+        problem = f"{first} to {first + count - 1} do not exist"
+        raise InputError(store.folder, "samples", problem, f"choose from the {len(store)} samples")
     return np.vstack([_row(store, index, None) for index in range(first, first + count)])
 
 

@@ -160,7 +160,9 @@ class SampleStore:
         self.vocabulary: Trajectories = read_vocabulary(folder / VOCABULARY_FILE)
         paths = sorted(folder.glob("world-*"))
         if not paths:
-            raise InputError(folder, "samples", "there are none", "recast planner dataset")
+            raise InputError(
+                folder, "samples", "are missing", "make them with `recast planner dataset`"
+            )
         self._images: list[NDArray[np.uint8]] = []
         parts: dict[str, list[np.ndarray]] = {name: [] for name in _MEMBERS}
         worlds, first = [], 0
@@ -182,7 +184,7 @@ class SampleStore:
             raise InputError(
                 folder / VOCABULARY_FILE,
                 "vocabulary",
-                f"has {len(self.vocabulary)} trajectories, scored were {self.scores.shape[-1]}",
+                f"has {len(self.vocabulary)} trajectories, but {self.scores.shape[-1]} were scored",
                 MEND,
             )
 

@@ -339,7 +339,9 @@ def chosen_training(
     if path is not None:
         said = read_json(path)
         if not isinstance(said, dict):
-            raise InputError(path, "JSON", "is not an object", "write what differs, by name")
+            raise InputError(
+                path, "JSON", "is not an object", "write an object of the settings to change"
+            )
         chosen = overridden(chosen, said)
     chosen["trainer"]["seed"] = seed
     if steps is not None:
@@ -349,4 +351,4 @@ def chosen_training(
     try:
         return PlannerTrainingConfig.model_validate(chosen)
     except ValidationError as error:
-        raise validation_error(path or "`steps`", error, "see the defaults") from None
+        raise validation_error(path or "`steps`", error, "give a value in range") from None

@@ -151,7 +151,7 @@ def export_planner(training: Path, dataset: Path, out: Path) -> GtrsPlanner:
         training / TRAINING_FILE,
         PlannerTrainingRecord,
         1,
-        "name a folder of recast planner train",
+        "name a folder that recast planner train wrote",
         "recast-planner-training",
     )
     setting = _open(dataset, found.config)
@@ -185,8 +185,8 @@ def _open(dataset: Path, config: PlannerTrainingConfig, start: Path | None = Non
         raise InputError(
             dataset,
             "samples",
-            f"{len(train_on)} to train on and {len(held_out)} held out are too few",
-            f"make at least {config.batch} and 2: every tenth world is held out",
+            f"{len(train_on)} for training and {len(held_out)} held out are too few",
+            f"make at least {config.batch} for training and 2 held out (every tenth world)",
         )
     seed = config.trainer.seed
     model = first_model(seed, config.network)
@@ -212,8 +212,8 @@ def _begin_from(model: GtrsModel, folder: Path) -> None:
         raise InputError(
             folder / CONFIG_FILE,
             "model",
-            "has other sizes than those to be trained",
-            "name another planner, or give its sizes as network with `config`",
+            "has other network sizes than the model to train",
+            "name another planner, or give its sizes as `network` with `config`",
         )
     model.load_state_dict(found.state_dict())
 
@@ -223,7 +223,7 @@ def _check_same(folder: Path, record: PlannerTrainingRecord) -> None:
     path = folder / TRAINING_FILE
     if not path.exists():
         if folder.exists() and any(folder.iterdir()):
-            raise InputError(folder, "output folder", "holds something else", _MEND)
+            raise InputError(folder, "output folder", "holds files of something else", _MEND)
         return
     found = read_record(path, PlannerTrainingRecord, 1, _MEND, record.format)
     for name in ("dataset_sha256", "samples", "held_out", "parameters", "start_sha256"):
@@ -234,7 +234,7 @@ def _check_same(folder: Path, record: PlannerTrainingRecord) -> None:
     # The state checks the trainer's settings; the others change no weights.
     free = {"trainer": True, "scoring": True, "judged": True, "sheet_every": True}
     if found.config.model_dump(exclude=free) != record.config.model_dump(exclude=free):
-        raise InputError(path, "config", "differs from the one asked for", _MEND)
+        raise InputError(path, "config", "differs from the requested configuration", _MEND)
 
 
 def _spread(indices: NDArray[np.int64], count: int) -> NDArray[np.int64]:

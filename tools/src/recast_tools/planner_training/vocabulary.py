@@ -107,7 +107,7 @@ def mirror_index(vocabulary: Trajectories) -> Int64Array:
             "vocabulary",
             f"trajectory {found.index(-1)}",
             "has no mirror image among the others",
-            "make one with recast planner vocabulary",
+            "make a vocabulary with `recast planner vocabulary`",
         )
     return np.array(found, np.int64)
 

@@ -101,7 +101,7 @@ def assemble(
     found = moments.statistics()
     if found is None:
         raise InputError(
-            assets, "assets", "there are none to train on", "make more: recast recar assets"
+            assets, "assets", "none can be used for training", "make more: recast recar assets"
         )
     record = PipelineRecord.of(
         {role: size.stem for role, size in SMALL.models.items()},

@@ -31,7 +31,7 @@ from recast.synthetic.world import Sky, VehicleModel
 
 _POSES = {"asset": np.eye(4)}
 RECORD_FILE = "assets.json"
-_MEND = "name a new folder, or make the assets again"
+_MEND = "choose a new folder, or make the assets again"
 
 
 class AssetsRecord(Record):
