@@ -22,8 +22,8 @@ endif
 endif
 # The tests whose numbers may differ between processors; TESTS=tests for all.
 TESTS ?= tests/geometry tests/cameras tests/dynamics tests/metrics tests/splats tests/trellis \
-  tests/training tests/planning/pdm tests/planning/gtrs tests/studies/test_generation_summary.py \
-  tests/studies/test_grid_summary.py
+  tests/training tests/planning/pdm tests/planning/gtrs tests/bridges/scores \
+  tests/studies/test_generation_summary.py tests/studies/test_grid_summary.py
 
 SIZES := src/recast bridges/src/recast_bridges tools/src/recast_tools tests
 .PHONY: sizes help setup asam demo test test-portable $(LEVELS:%=test-at-%) lint types contracts docs unit recipes fuzz bench wheel clean
@@ -50,7 +50,8 @@ $(VENV)/.ready: pyproject.toml bridges/pyproject.toml tools/pyproject.toml const
 	test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
 	if test -x $(BIN)/uv || $(BIN)/python -m pip install -q uv; then \
 	  UV_FIND_LINKS="$${UV_FIND_LINKS:-$${PIP_FIND_LINKS:-}}" $(BIN)/uv pip install -q \
-	    --compile-bytecode --python $(BIN)/python -c constraints.txt --reinstall-package recast-sim --reinstall-package recast-bridges --reinstall-package recast-tools \
+	    --compile-bytecode --python $(BIN)/python -c constraints.txt \
+	    --reinstall-package recast-sim --reinstall-package recast-bridges --reinstall-package recast-tools \
 	    -e '.[dev]' -e 'bridges[alpasim]' -e tools; \
 	else \
 	  $(BIN)/python -m pip install -q -c constraints.txt -e '.[dev]' -e 'bridges[alpasim]' -e tools; \

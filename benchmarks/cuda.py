@@ -42,7 +42,7 @@ from recast.scene.points import DepthSamples
 from recast.scene.render import SceneRasterizer
 from recast.scene.sky import SkyMap
 from recast.scene.trainer import Trainer
-from recast.scene.views import View
+from recast.scene.views import TrainingView
 from recast.splats import Gaussians, pick_device, rasterize
 from recast.splats.cuda import load_gsplat
 
@@ -81,7 +81,7 @@ def poses(places: int) -> list[tuple[str, int, np.ndarray]]:
 
 def recordings(
     scene: StreetScene, camera: PinholeCamera, places: int, device: torch.device
-) -> tuple[list[View], list[DepthSamples]]:
+) -> tuple[list[TrainingView], list[DepthSamples]]:
     """Pictures of the street, and depths at random pixels of what is solid in them."""
     rasterizer = SceneRasterizer(scene, str(device))
     rng = np.random.default_rng(0)
@@ -89,7 +89,7 @@ def recordings(
     for name, frame, pose in poses(places):
         drawn = rasterizer.render(camera, se3.inverse(pose), {})
         picture = np.rint(drawn.rgb * 255).astype(np.uint8)
-        views.append(View(name, frame, frame * 100_000, camera, pose, picture, None, False))
+        views.append(TrainingView(name, frame, frame * 100_000, camera, pose, picture, None, False))
         rows, columns = np.nonzero(drawn.alpha > 0.98)
         chosen = rng.permutation(len(rows))[:DEPTHS]
         rows, columns = rows[chosen], columns[chosen]
@@ -113,7 +113,7 @@ def worse(gaussians: Gaussians) -> Gaussians:
 
 
 def train(
-    views: list[View], start: Initialisation, steps: int, device: torch.device
+    views: list[TrainingView], start: Initialisation, steps: int, device: torch.device
 ) -> dict[str, float]:
     """Train; steps a second, PSNR of the views of the first and of the last steps, Gaussians."""
     config = SceneConfig(

@@ -173,7 +173,7 @@ def measure_reference(gaussians: Gaussians, width: int, height: int) -> tuple[fl
     factor = len(corners) / len(sample)
     leaves = Gaussians(**{k: v.clone().requires_grad_() for k, v in vars(gaussians).items()})
     splats = reference.project(leaves, CAMERA, settings)
-    cut = reference.Splats(
+    cut = reference.ProjectedSplats(
         **{
             k: v.detach().requires_grad_() if v.is_floating_point() else v
             for k, v in vars(splats).items()

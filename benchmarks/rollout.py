@@ -41,7 +41,7 @@ from recast.simulation import MOTIONS, RolloutSetup, Timings, run_rollout
 from recast.simulation.scene_renderer import SceneRenderer
 from recast.splats import Gaussians, set_threads
 from recast.synthetic import make_rig
-from recast_tools.planner_data.stage import Stage, make_stage
+from recast_tools.planner_data.stage import SampleStage, make_stage
 
 _GROUND = 1.6
 """Metres of the made-up street's camera above its ground."""
@@ -68,7 +68,7 @@ class OnRails:
         return self.replay.plan(observation)
 
 
-def made_up_scene(stage: Stage, track: Track, count: int) -> StreetScene:
+def made_up_scene(stage: SampleStage, track: Track, count: int) -> StreetScene:
     """A street of `count` Gaussians along the drive, a tenth of them the actor's."""
     few = round(_ACTOR_SHARE * count)
     background = street(count - few, degree=1)

@@ -29,7 +29,7 @@ from recast.geometry import se3
 from recast.synthetic.rendering import WAYMO_TOP, RayScene, compiled, render_camera, scan_lidar
 from recast.synthetic.rendering.camera import LONELY_SAMPLES, camera_rays
 from recast.synthetic.rendering.lighting import LightFilter, add_light_samples, sample_light
-from recast.synthetic.rendering.rays import Mesh, pixel_samples
+from recast.synthetic.rendering.rays import RayMesh, pixel_samples
 from recast.synthetic.rendering.shading import OFFSETS, borrow_light, edge_pixels, shade
 from recast.synthetic.rendering.sky import SkyLight, sky_light
 from recast.synthetic.rendering.surface_points import surface_points, textured
@@ -210,8 +210,8 @@ def main() -> None:
         with patch.object(compiled, "library", lambda: None):
             stages("reference", lambda: setting.frame(reference))
         stages("lidar", setting.scan)
-        stages("build street", lambda: Mesh(setting.street.surface))
-        stages("build vehicles", lambda: Mesh(placed))
+        stages("build street", lambda: RayMesh(setting.street.surface))
+        stages("build vehicles", lambda: RayMesh(placed))
         stages("sky table", lambda: SkyLight(setting.street.sky))
         shares = camera_stages(setting, stages)
 
@@ -250,7 +250,7 @@ def main() -> None:
 
     origins = np.tile(np.float32(setting.world_from_lidar[:3, 3]), (8 * rays, 1))
     directions = np.tile(WAYMO_TOP.directions(), (8, 1))
-    mesh = Mesh(setting.street.surface)
+    mesh = RayMesh(setting.street.surface)
     work: dict[str, Callable[[], object]] = {
         "embreex": lambda: mesh.first_hits(origins, directions),
         "numpy": lambda: [np.sin(origins) for _ in range(40)],

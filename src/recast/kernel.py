@@ -14,7 +14,7 @@ _ABI = 6
 _SUFFIXES = (".so", ".dylib", ".dll")
 
 
-class View(ctypes.Structure):
+class KernelView(ctypes.Structure):
     """`RecastView` of api.cpp."""
 
     _fields_ = [
@@ -34,8 +34,8 @@ class View(ctypes.Structure):
     ]
 
 
-class Part(ctypes.Structure):
-    """`Part` of frame.hpp."""
+class KernelPart(ctypes.Structure):
+    """`KernelPart` of frame.hpp."""
 
     _fields_ = [
         *((name, ctypes.c_int64) for name in ("blocks", "first_chunk", "sh_bases", "antialiased")),
@@ -100,8 +100,8 @@ class Photometric(ctypes.Structure):
     ]
 
 
-class Sky(ctypes.Structure):
-    """`Sky` of sky.hpp."""
+class KernelSky(ctypes.Structure):
+    """`KernelSky` of sky.hpp."""
 
     _fields_ = [
         *((name, ctypes.c_void_p) for name in ("rgb", "alpha", "colours", "coordinates")),
@@ -162,11 +162,11 @@ def _declare(library: ctypes.CDLL) -> None:
         "recast_destroy": (None, [pointer]),
         "recast_forward": (
             integer,
-            [pointer, ctypes.POINTER(View), ctypes.POINTER(ctypes.c_int64)],
+            [pointer, ctypes.POINTER(KernelView), ctypes.POINTER(ctypes.c_int64)],
         ),
         "recast_forward_frozen": (
             integer,
-            [pointer, ctypes.POINTER(View), ctypes.POINTER(Part), integer],
+            [pointer, ctypes.POINTER(KernelView), ctypes.POINTER(KernelPart), integer],
         ),
         "recast_backward": (integer, [pointer, ctypes.POINTER(Gradients)]),
         "recast_timings": (None, [pointer, ctypes.POINTER(ctypes.c_double)]),
@@ -202,8 +202,8 @@ def _declare(library: ctypes.CDLL) -> None:
         "recast_edges": (None, [*[pointer] * 7, long, long, real, pointer]),
         "recast_photometric": (None, [ctypes.POINTER(Photometric)]),
         "recast_photometric_backward": (None, [ctypes.POINTER(Photometric)]),
-        "recast_sky": (None, [ctypes.POINTER(Sky)]),
-        "recast_sky_backward": (None, [ctypes.POINTER(Sky)]),
+        "recast_sky": (None, [ctypes.POINTER(KernelSky)]),
+        "recast_sky_backward": (None, [ctypes.POINTER(KernelSky)]),
     }
     for name, (result, arguments) in signatures.items():
         function = getattr(library, name)

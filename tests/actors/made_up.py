@@ -7,11 +7,11 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 
-from recast.actors.template.body import Body
+from recast.actors.template.body import TemplateBody
 from recast.actors.template.cloud import build_cloud
 from recast.actors.template.generator import _gaussians
 from recast.actors.template.proportions import STYLES
-from recast.actors.template.texture import Texture
+from recast.actors.template.texture import TemplateTexture
 from recast.cameras import PinholeCamera
 from recast.geometry import se3
 from recast.geometry.colour import gamma_to_linear
@@ -32,10 +32,10 @@ RIG_FROM_CAMERA = se3.from_rotation_translation(
 
 def car(size: np.ndarray = SIZE, paint: np.ndarray = RED, style: str = "estate") -> Gaussians:
     """A coarse template car in the actor frame, nothing photographed."""
-    body = Body(size, STYLES[style])
+    body = TemplateBody(size, STYLES[style])
     cloud = build_cloud(body, 0.04, np.random.default_rng(0))
     n = len(cloud.points)
-    plain = Texture(np.zeros((n, 3)), np.zeros(n), np.tile([1.0, 0.0, 0.0], (n, 1)))
+    plain = TemplateTexture(np.zeros((n, 3)), np.zeros(n), np.tile([1.0, 0.0, 0.0], (n, 1)))
     made = _gaussians(body, cloud, gamma_to_linear(paint), plain)
     down = se3.from_rotation_translation(np.eye(3), [0.0, 0.0, -size[2] / 2])
     return made.transformed(torch.from_numpy(down))
@@ -53,7 +53,7 @@ def car_poses() -> np.ndarray:
 
 def lidar_hits(rng: np.random.Generator, eye: np.ndarray, count: int = 1500) -> np.ndarray:
     """Points (N, 3) on the car's body and wheels that face `eye`, actor frame, 1 cm noise."""
-    cloud = build_cloud(Body(SIZE, STYLES["estate"]), 0.04, np.random.default_rng(1))
+    cloud = build_cloud(TemplateBody(SIZE, STYLES["estate"]), 0.04, np.random.default_rng(1))
     points = cloud.points - [0.0, 0.0, SIZE[2] / 2]
     facing = np.flatnonzero(np.sum(cloud.normals * (eye - points), axis=1) > 0.3)
     chosen = points[rng.choice(facing, count, replace=False)]

@@ -8,7 +8,7 @@ import pytest
 
 from actors import made_up
 from recast.actors import Observation
-from recast.actors.template.body import Body
+from recast.actors.template.body import TemplateBody
 from recast.actors.template.cloud import SurfaceCloud, build_cloud
 from recast.actors.template.lighting import (
     Daylight,
@@ -18,7 +18,7 @@ from recast.actors.template.lighting import (
     road_level,
     shade,
 )
-from recast.actors.template.placement import Placement
+from recast.actors.template.placement import TemplatePlacement
 from recast.actors.template.proportions import STYLES
 from recast.actors.template.texture import SurfaceView, view_surface
 from recast.geometry.colour import gamma_to_linear, linear_to_gamma
@@ -28,7 +28,7 @@ PAINTS = {"white": 0.72, "silver": 0.42, "black": 0.012}
 
 @pytest.fixture(scope="module")
 def cloud() -> SurfaceCloud:
-    return build_cloud(Body(made_up.SIZE, STYLES["estate"]), 0.05, np.random.default_rng(0))
+    return build_cloud(TemplateBody(made_up.SIZE, STYLES["estate"]), 0.05, np.random.default_rng(0))
 
 
 def photographed(
@@ -105,7 +105,7 @@ def test_a_distant_slanted_side_is_left_to_the_model(
     cloud: SurfaceCloud, observation: Observation
 ) -> None:
     """Far away a side seen at 20 degrees is a smear, nearby it is not."""
-    placement = Placement(np.ones(3), np.array([0.0, 0.0, -made_up.SIZE[2] / 2]), 1.0)
+    placement = TemplatePlacement(np.ones(3), np.array([0.0, 0.0, -made_up.SIZE[2] / 2]), 1.0)
     near = view_surface(cloud, observation, placement)
     slanted = np.sum(cloud.normals * near.views, axis=1)
     chosen = (slanted > 0.25) & (slanted < 0.38) & (near.weight > 0.1)

@@ -214,8 +214,8 @@ def says_nothing(folder: Path) -> None:
         ),
         (lambda folder: shutil.rmtree(folder / "sam"), ("sam", "missing", "facebook/sam-vit-base")),
         (lambda folder: shutil.rmtree(folder), ("folder: is missing", "grounding-dino and sam")),
-        (cut_short, ("model.safetensors", "or no safetensors file")),
-        (pointer, ("model.safetensors", "or no safetensors file")),
+        (cut_short, ("model.safetensors", "or not a safetensors file")),
+        (pointer, ("model.safetensors", "or not a safetensors file")),
         (other_network, ("config.json", "'sam2'", "not 'sam'")),
         (no_json, ("config.json", "JSON")),
         (

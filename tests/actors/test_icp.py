@@ -5,11 +5,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from recast.actors.icp import IcpLimits, Surface, align, fit_of
+from recast.actors.icp import FitSurface, IcpLimits, align, fit_of
 from recast.geometry import se3
 
 
-def vehicle(rng: np.random.Generator, count: int) -> Surface:
+def vehicle(rng: np.random.Generator, count: int) -> FitSurface:
     """A closed car-like surface: a lower box with a cabin towards the rear."""
     points, normals = [], []
     for low, high in (
@@ -24,13 +24,13 @@ def vehicle(rng: np.random.Generator, count: int) -> Surface:
                 points.append(face)
                 normals.append(np.tile(sign * np.eye(3)[axis], (count, 1)))
     stacked = np.concatenate(points)
-    return Surface(stacked, np.concatenate(normals), np.arange(len(stacked)))
+    return FitSurface(stacked, np.concatenate(normals), np.arange(len(stacked)))
 
 
 SURFACE = vehicle(np.random.default_rng(0), 1500)
 
 
-def seen_from(surface: Surface, eye: list[float]) -> np.ndarray:
+def seen_from(surface: FitSurface, eye: list[float]) -> np.ndarray:
     facing = np.sum(surface.normals * (np.array(eye) - surface.points), axis=1) > 0.1
     return surface.points[facing]
 
@@ -50,7 +50,7 @@ def test_recovers_a_known_move(
     lidar = lidar + rng.normal(0, 0.01, lidar.shape)
     # the asset is the vehicle moved by the inverse of what ICP has to find
     rotation = se3.rotation_z(yaw)
-    moved = Surface(
+    moved = FitSurface(
         (SURFACE.points - shift) @ rotation / scale, SURFACE.normals @ rotation, SURFACE.index
     )
     # nothing is known beforehand: the points alone must give all five numbers
@@ -73,7 +73,7 @@ def test_points_inside_and_far_outliers_do_not_pull() -> None:
 def test_stays_within_its_limits() -> None:
     lidar = seen_from(SURFACE, [-8.0, 5.0, 1.5])[::5]
     limits = IcpLimits(scale=(0.95, 1.05), yaw=0.05, shift=0.1)
-    turned = Surface(
+    turned = FitSurface(
         SURFACE.points @ se3.rotation_z(0.3) / 1.3 + [0.8, 0, 0], SURFACE.normals, SURFACE.index
     )
     result = align(turned, lidar, limits)
@@ -102,7 +102,7 @@ def test_what_the_points_do_not_tell_stays() -> None:
 def test_a_vehicle_that_came_out_too_flat_keeps_its_length() -> None:
     """The box knows the length; LiDAR of two sides must not stretch it to mend the height."""
     lidar = seen_from(SURFACE, [-8.0, 5.0, 1.5])[::5]
-    flat = Surface(SURFACE.points * [1.0, 1.0, 0.85], SURFACE.normals, SURFACE.index)
+    flat = FitSurface(SURFACE.points * [1.0, 1.0, 0.85], SURFACE.normals, SURFACE.index)
     floor = float(SURFACE.points[:, 2].min())
     trusting = align(flat, lidar, IcpLimits(scale_deviation=1.0), floor=floor)
     result = align(flat, lidar, floor=floor)

@@ -10,10 +10,10 @@ from recast.actors import Asset, Observation, TemplateGenerator, turntable
 from recast.actors.actor import Actor
 from recast.actors.drawing import look_at
 from recast.actors.icp import outer_surface
-from recast.actors.template.body import Body
+from recast.actors.template.body import TemplateBody
 from recast.actors.template.cloud import build_cloud, gradient, sample
 from recast.actors.template.lighting import fit_harmonics, sh_basis, shade
-from recast.actors.template.materials import Material, label_body
+from recast.actors.template.materials import TemplateMaterial, label_body
 from recast.actors.template.proportions import STYLES, candidate_styles, fit_shape
 from recast.splats import Gaussians, rasterize
 
@@ -29,7 +29,7 @@ USUAL = {
 @pytest.mark.parametrize("style", STYLES)
 def test_every_style_fills_its_box(style: str) -> None:
     size = np.array(USUAL.get(style, (4.3, 1.75, 1.5)))
-    body = Body(size, STYLES[style])
+    body = TemplateBody(size, STYLES[style])
     points, normals = sample(
         body.distance,
         np.array([-size[0] / 2 - 0.05, 0, 0]),
@@ -45,13 +45,13 @@ def test_every_style_fills_its_box(style: str) -> None:
     assert 0.05 < points[:, 2].min() < 0.5
     np.testing.assert_allclose(np.linalg.norm(normals, axis=1), 1.0)
     labels = label_body(body, points, normals)
-    glass = points[labels == Material.GLASS]
+    glass = points[labels == TemplateMaterial.GLASS]
     assert len(glass) > 0.02 * len(points)
     assert glass[:, 2].min() > 0.3 * size[2]
 
 
 def test_distance_is_signed_and_metric() -> None:
-    body = Body(made_up.SIZE, STYLES["sedan"])
+    body = TemplateBody(made_up.SIZE, STYLES["sedan"])
     middle = np.array([[0.0, 0.0, 0.6], [0.0, 0.0, 1.65], [2.4, 0.0, 0.5]])
     inside, above, ahead = body.distance(middle)
     assert inside < -0.2
@@ -78,7 +78,7 @@ def test_wheels_stand_on_the_floor(asset: Asset) -> None:
 
 
 def test_cloud_is_symmetric() -> None:
-    cloud = build_cloud(Body(made_up.SIZE, STYLES["suv"]), 0.06, np.random.default_rng(0))
+    cloud = build_cloud(TemplateBody(made_up.SIZE, STYLES["suv"]), 0.06, np.random.default_rng(0))
     np.testing.assert_array_equal(cloud.points[cloud.twin], cloud.points * [1, -1, 1])
     np.testing.assert_array_equal(cloud.twin[cloud.twin], np.arange(len(cloud.points)))
 
@@ -102,7 +102,7 @@ def test_finds_style_paint_and_place(asset: Asset) -> None:
 def test_fit_follows_the_points() -> None:
     rng = np.random.default_rng(0)
     size = np.array([4.2, 1.75, 1.62])
-    truth = Body(size, STYLES["mpv"])
+    truth = TemplateBody(size, STYLES["mpv"])
     points, _ = sample(truth.distance, np.array([-2.2, 0, 0]), np.array([0.5, 0.9, 1.7]), 0.06, rng)
     shifted = points + np.array([0.08, -0.05, -size[2] / 2])
     fit = fit_shape("car", size, shifted, rng)

@@ -36,6 +36,7 @@ def quiet_again() -> Iterator[None]:
         (("run",), "LOG, --track STR, --out PATH: are missing; see recast run --help"),
         ((*RUN, "--preset", "omnier"), "--preset: is 'omnier'; did you mean omnire?"),
         ((*RUN, "--seed", "x"), "--seed: is 'x'; give an integer"),
+        (("demo", "--out", "o", "--seed", "x"), "--seed: is 'x'; give an integer"),
         (("actor", "generate", "a", "--out", "x", "--model", "m", "--cfg", "1"), "--cfg: is '1'"),
         (("--versoin",), "did you mean --version?"),
         ((*RUN, "--steps", "many"), "--steps"),

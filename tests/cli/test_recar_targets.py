@@ -7,14 +7,14 @@ from pathlib import Path
 import pytest
 import tyro
 
-from recast.cli.recar import Targets
+from recast.cli.recar import RecarTargets
 from recast.core.errors import InputError
 from support.trellis_folder import write_golden_model
 from support.vehicle_pictures import write_vehicles
 
 
 def run(*args: str | Path) -> None:
-    tyro.cli(Targets, args=[str(arg) for arg in args])()
+    tyro.cli(RecarTargets, args=[str(arg) for arg in args])()
 
 
 def test_targets_of_a_set_and_the_same_command_again(

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 import tyro
 
-from recast.cli.recar_train import Train
+from recast.cli.recar_train import RecarTrain
 from recast.core.errors import InputError
 from recast.core.files import write_json
 from recast.recar.training.output import read_training_record
@@ -36,7 +36,7 @@ def arguments(stage: TinyStage, out: Path) -> list[str]:
 
 
 def run(args: list[str]) -> None:
-    tyro.cli(Train, args=args)()
+    tyro.cli(RecarTrain, args=args)()
 
 
 def test_a_config_file_is_trained(

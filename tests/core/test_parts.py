@@ -9,7 +9,15 @@ from pathlib import Path
 import pytest
 
 from recast.actors.vehicle_files import VEHICLE_SUFFIXES
-from recast.core.plugins import GENERATORS, IMPORTERS, PLANNERS, SCENES, SEGMENTERS, Registry
+from recast.core.plugins import (
+    GENERATORS,
+    IMPORTERS,
+    PLANNERS,
+    SCENES,
+    SEGMENTERS,
+    Registry,
+    entry_points,
+)
 
 KINDS = (PLANNERS, GENERATORS, SEGMENTERS, IMPORTERS, SCENES)
 DATA_PAGE = Path(__file__).parents[2] / "docs" / "data.md"
@@ -21,6 +29,14 @@ def test_all_code_exists(kind: Registry) -> None:
     for name in (*kind.names(), *readers):
         assert callable(kind.load(name)), name
     assert kind.experimental <= set(kind.names())
+
+
+def test_all_commands_and_formats_of_other_packages_can_be_imported() -> None:
+    for group in ("recast.commands", "recast.splat_formats"):
+        entries = entry_points(group)
+        assert len(entries) > 3
+        for entry in entries:
+            assert entry.load() is not None, entry.name
 
 
 def test_all_files_of_vehicles_are_read() -> None:

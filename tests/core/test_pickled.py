@@ -94,7 +94,7 @@ FLOATS = b"cnumpy\ndtype\n(X\x02\x00\x00\x00f8tR"
         (ARRAY + b"(I1\n(L1000000000000L\nt" + FLOATS + b"I00\nC\x01atb.", "that it lacks"),
         (ARRAY + b"(I1\n(I-1\nt" + FLOATS + b"I00\nC\x00tb.", "an array without a shape"),
         (b"cnumpy\ndtype\n(X\x03\x00\x00\x00V99tR.", "an array of type 'V99'"),
-        (b"cnumpy\nndarray\n}X\x05\x00\x00\x00valueX\x01\x00\x00\x00asb.", "a state of something"),
+        (b"cnumpy\nndarray\n}X\x05\x00\x00\x00valueX\x01\x00\x00\x00asb.", "a state of an object"),
         (b"ccollections\nOrderedDict\n(](I1\nI2\ntatR.", "is damaged"),
         (b"}((((tttI1\ns.", "keys that are neither texts nor numbers"),
         (b"](I1\nI2\nu.", "members of an object that is not a table"),

@@ -72,7 +72,7 @@ def test_changed_and_lost_files_are_one_line(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="changed after the artefact was made"):
         Store(tmp_path / "store").find("scenes", INPUTS)
     file.unlink()
-    with pytest.raises(InputError, match=r"file\.txt: artefact: lacks this file"):
+    with pytest.raises(InputError, match=r"file\.txt: artefact: this file was deleted"):
         make(Store(tmp_path / "store"))
     (made.folder / "artefact.json").unlink()  # half deleted: it does not count as finished
     assert make(Store(tmp_path / "store")).fresh

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from recast.core.errors import InputError
 from recast.logs.importers.waymo import load_waymo
 from recast.logs.importers.waymo_proto import FieldError, decode
-from recast.logs.importers.waymo_tfrecord import Record, _find, masked_crc, read_records
+from recast.logs.importers.waymo_tfrecord import TfRecord, _find, masked_crc, read_records
 from support import proto_writer as write
 
 
@@ -47,7 +47,7 @@ def test_records_come_back_bit_by_bit(tmp_path: Path) -> None:
 def test_a_part_of_a_record_is_found_though_others_end_alike() -> None:
     end = bytes(100)
     parts = [b"one" + end, b"other" + end, b"short", b""]
-    record = Record(0, 500, b"head" + parts[0] + parts[1] + parts[2] + b"tail")
+    record = TfRecord(0, 500, b"head" + parts[0] + parts[1] + parts[2] + b"tail")
     for part in parts:
         at = _find(part, record)
         assert record.data[at : at + len(part)] == part

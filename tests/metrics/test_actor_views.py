@@ -14,7 +14,7 @@ from recar.sets import HEIGHT, WIDTH, identity_record, pictures, set_record
 from recast.core.errors import InputError
 from recast.metrics.actor_scores import (
     ACTOR_COLUMNS,
-    Cutout,
+    ScoredCutout,
     Window,
     drawn,
     framed,
@@ -134,7 +134,7 @@ def test_scores_by_hand() -> None:
     truth[10:30, 10:30] = (204, 204, 204, 255)
     alpha = np.zeros((40, 50))
     alpha[10:30, 10:20] = 1.0
-    shown = Cutout(np.repeat(alpha[..., None] * 0.7, 3, axis=2), alpha)
+    shown = ScoredCutout(np.repeat(alpha[..., None] * 0.7, 3, axis=2), alpha)
     scores = score_view(shown, photographed(truth))
     squares = 200 * 0.1**2 + 200 * 0.8**2
     assert scores["psnr"] == pytest.approx(-10 * np.log10(squares / 2000))
@@ -209,7 +209,7 @@ def test_means() -> None:
 
 def test_a_sheet_shows_what_was_compared() -> None:
     vehicle = photographed(photograph(two_coloured_box(), 130.0, 4.0))
-    red = Cutout(vehicle.alpha[..., None] * [1.0, 0.0, 0.0], vehicle.alpha)
+    red = ScoredCutout(vehicle.alpha[..., None] * [1.0, 0.0, 0.0], vehicle.alpha)
     sheet = comparison_sheet("here", vehicle, [ComparedView("a", vehicle, vehicle)] * 2)
     changed = comparison_sheet("here", vehicle, [ComparedView("a", vehicle, red)] * 2)
     assert sheet.dtype == np.uint8 and sheet.shape == changed.shape

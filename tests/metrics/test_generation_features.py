@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from recast.core.errors import InputError
-from recast.metrics.actor_scores import Cutout, framed, photographed
+from recast.metrics.actor_scores import ScoredCutout, framed, photographed
 from recast.metrics.features import (
     FEATURE_KINDS,
     TOY_DIMENSIONS,
@@ -24,7 +24,7 @@ from support.crops import photograph, two_coloured_box
 TOY = ToyFeatures()
 
 
-def toy_distance(first: Cutout, second: Cutout) -> float:
+def toy_distance(first: ScoredCutout, second: ScoredCutout) -> float:
     compare = FEATURE_KINDS["toy"].compare
     assert compare is not None
     window = framed(second.mask)
@@ -36,8 +36,8 @@ def test_the_stand_in_orders_vehicles() -> None:
     truth = photographed(photograph(box, 40.0, 10.0))
     turned = photographed(photograph(box, 43.0, 10.0))
     behind = photographed(photograph(box, 220.0, 10.0))
-    recoloured = Cutout(truth.rgb[..., ::-1].copy(), truth.alpha)
-    nothing = Cutout(np.zeros_like(truth.rgb), np.zeros_like(truth.alpha))
+    recoloured = ScoredCutout(truth.rgb[..., ::-1].copy(), truth.alpha)
+    nothing = ScoredCutout(np.zeros_like(truth.rgb), np.zeros_like(truth.alpha))
     assert toy_distance(truth, truth) == 0.0
     distances = [toy_distance(one, truth) for one in (turned, recoloured, behind, nothing)]
     assert 0 < distances[0] < 0.3 * distances[1]
@@ -48,8 +48,8 @@ def test_the_stand_in_orders_vehicles() -> None:
 def test_a_black_vehicle_is_seen() -> None:
     """Before black alone it would look like no vehicle at all."""
     truth = photographed(photograph(two_coloured_box(), 40.0, 10.0))
-    black = Cutout(np.zeros_like(truth.rgb), truth.alpha)
-    nothing = Cutout(np.zeros_like(truth.rgb), np.zeros_like(truth.alpha))
+    black = ScoredCutout(np.zeros_like(truth.rgb), truth.alpha)
+    nothing = ScoredCutout(np.zeros_like(truth.rgb), np.zeros_like(truth.alpha))
     assert toy_distance(nothing, black) > 0.5 * toy_distance(nothing, truth)
 
 
@@ -57,7 +57,7 @@ def test_cells_hold_colours_and_edges() -> None:
     """A square of 64 pixels, its upper left quarter red with one upright edge in the middle."""
     rgb, alpha = np.zeros((64, 64, 3)), np.zeros((64, 64))
     rgb[:32, :32, 0] = alpha[:32, :32] = 1.0
-    cells = TOY.features(Cutout(rgb, alpha)).reshape(4, 4, 8)
+    cells = TOY.features(ScoredCutout(rgb, alpha)).reshape(4, 4, 8)
     assert cells.size == TOY_DIMENSIONS
     np.testing.assert_allclose(cells[:2, :2, :4], np.broadcast_to([1.0, 0, 0, 1.0], (2, 2, 4)))
     assert cells[2:, 2:].max() == 0.0  # flat grey
@@ -72,7 +72,7 @@ def test_cells_hold_colours_and_edges() -> None:
 def test_squares_of_any_size(side: int, seed: int) -> None:
     rng = np.random.default_rng(seed)
     alpha = rng.uniform(size=(side, side))
-    cutout = Cutout(rng.uniform(size=(side, side, 3)) * alpha[..., None], alpha)
+    cutout = ScoredCutout(rng.uniform(size=(side, side, 3)) * alpha[..., None], alpha)
     features = TOY.features(cutout)
     assert features.shape == (TOY_DIMENSIONS,)
     assert np.isfinite(features).all() and features.min() >= 0
@@ -108,7 +108,7 @@ def test_inception_as_torchvision_computes_it(
     torch.save(weights, path)
     (_, embedder) = load_embedders(inception=path)
     assert embedder.key == "inception"
-    cutout = Cutout(IMAGE, np.ones(IMAGE.shape[:2]))
+    cutout = ScoredCutout(IMAGE, np.ones(IMAGE.shape[:2]))
     features = embedder.features(cutout)
     assert features.shape == (2048,)
     # by torchvision's Inception3 with these weights, the image brought to 299 x 299 the same way

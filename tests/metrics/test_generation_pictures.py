@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from recast.metrics.actor_scores import Cutout, photographed
+from recast.metrics.actor_scores import ScoredCutout, photographed
 from recast.studies.sheets import (
     TILE,
     SheetRow,
@@ -40,12 +40,12 @@ def test_windows_hold_their_mask_in_the_shape_of_a_tile(
 
 def test_tiles_reach_beyond_the_image() -> None:
     alpha = np.ones((20, 30))
-    white = Cutout(np.ones((20, 30, 3)), alpha)
+    white = ScoredCutout(np.ones((20, 30, 3)), alpha)
     shown = tile(white, tile_window(white.mask))
     assert shown.shape == (TILE[1], TILE[0], 3)
     assert shown[TILE[1] // 2, TILE[0] // 2].min() == 255
     assert shown[0, 0].tolist() == [140] * 3  # grey where there is no picture
-    empty = Cutout(np.zeros((20, 30, 3)), np.zeros((20, 30)))
+    empty = ScoredCutout(np.zeros((20, 30, 3)), np.zeros((20, 30)))
     assert np.ptp(tile(empty, tile_window(empty.mask))) == 0
 
 

@@ -302,7 +302,7 @@ def test_folders_that_are_refused(tmp_path: Path) -> None:
     weights = clip / "model.safetensors"
     whole = load(weights.read_bytes())
     weights.write_bytes(weights.read_bytes()[:1000])
-    with pytest.raises(InputError, match="it is truncated or is not a safetensors file"):
+    with pytest.raises(InputError, match="truncated or not a safetensors file"):
         load_distances(clip=clip)
     vision = {name: tensor for name, tensor in whole.items() if not name.startswith("text_")}
     save_file(vision, weights, metadata={"format": "pt"})

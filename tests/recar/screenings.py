@@ -9,7 +9,13 @@ import cv2
 import numpy as np
 
 from recast.core import files
-from recast.recar.targets import CacheRecord, FilterRecord, ModelRecord, TargetCache, TargetRecord
+from recast.recar.targets import (
+    CachedModelRecord,
+    CacheRecord,
+    FilterRecord,
+    TargetCache,
+    TargetRecord,
+)
 from recast.trellis import SamplerSettings
 
 SCORES: dict[str, tuple[float | None, float | None]] = {
@@ -27,7 +33,7 @@ def write_cache(
     record = CacheRecord(
         complete=True,
         vehicle_set="rectangles",
-        model=ModelRecord(
+        model=CachedModelRecord(
             name="tiny", sha256="0" * 64, resolution=8, latent_mean=(0.0,), latent_std=(1.0,)
         ),
         structure_sampler=SamplerSettings(),

@@ -20,7 +20,7 @@ from recast.core.errors import InputError
 from recast.recar import read_set, set_statistics, statistics_table
 from recast.recar.figure import write_figure
 from recast.recar.screening import Screening
-from recast.recar.screening.service import RefusedError, ScreeningService
+from recast.recar.screening.service import RefusedDecisionError, ScreeningService
 from recast.recar.shards import pack_set, read_shards
 from recast.recar.targets import TargetCache
 
@@ -126,7 +126,7 @@ def test_screening_refuses_them(tmp_path: Path, name: str) -> None:
         lambda: service.input_view(name, "front"),
         lambda: service.input_view("car-0", name),
     ):
-        with pytest.raises(RefusedError) as refused:
+        with pytest.raises(RefusedDecisionError) as refused:
             ask()
         json.dumps(refused.value.answer)
     assert service.search({"text": name})["ids"] == []

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from recast.recar.perturb import Kind, PerturbationConfig
+from recast.recar.perturb import PerturbationConfig, PerturbationKind
 from recast.recar.perturb.kind import find_object
 from recast.trellis import check_crop
 
@@ -22,7 +22,7 @@ MASKS_ONLY = ("other-vehicle", "pole", "border", "cropping", "erosion", "holes")
 each_kind = pytest.mark.parametrize("kind", KINDS, ids=NAMES)
 
 
-def spoil(kind: Kind, severity: float, seed: int, rgba: np.ndarray = CAR) -> np.ndarray:
+def spoil(kind: PerturbationKind, severity: float, seed: int, rgba: np.ndarray = CAR) -> np.ndarray:
     return kind(rgba, severity, np.random.default_rng(seed))
 
 
@@ -48,14 +48,16 @@ def test_the_kinds_of_the_paper_are_all_there() -> None:
 
 @each_kind
 @pytest.mark.parametrize("extent", [24, 100])
-def test_severity_0_changes_next_to_nothing(kind: Kind, extent: int) -> None:
+def test_severity_0_changes_next_to_nothing(kind: PerturbationKind, extent: int) -> None:
     car = drawn_car(extent)
     for seed in range(3):
         assert difference(spoil(kind, 0.0, seed, car), car) < (0.8 if extent == 100 else 1.5)
 
 
 @each_kind
-def test_severity_1_changes_the_object_visibly_and_leaves_some_of_it(kind: Kind) -> None:
+def test_severity_1_changes_the_object_visibly_and_leaves_some_of_it(
+    kind: PerturbationKind,
+) -> None:
     opaque = CAR[..., 3] > 204
     for seed in range(3):
         spoilt = spoil(kind, 1.0, seed)
@@ -67,7 +69,7 @@ def test_severity_1_changes_the_object_visibly_and_leaves_some_of_it(kind: Kind)
 @each_kind
 @settings(max_examples=3, deadline=None)
 @given(seed=st.integers(0, 2**31))
-def test_effect_grows_with_severity(kind: Kind, seed: int) -> None:
+def test_effect_grows_with_severity(kind: PerturbationKind, seed: int) -> None:
     # Steps fall now on, now beside the edge, so for `jagged` neighbouring severities may swap.
     severities = (0, 0.2, 1) if kind.name == "jagged" else (0, 0.3, 0.6, 1)
     effects = [difference(spoil(kind, severity, seed), CAR) for severity in severities]
@@ -77,7 +79,7 @@ def test_effect_grows_with_severity(kind: Kind, seed: int) -> None:
 
 
 @each_kind
-def test_result_depends_on_the_generator_alone(kind: Kind) -> None:
+def test_result_depends_on_the_generator_alone(kind: PerturbationKind) -> None:
     before = CAR.copy()
     once, again = spoil(kind, 0.7, 5), spoil(kind, 0.7, 5)
     assert np.array_equal(once, again)
@@ -87,7 +89,7 @@ def test_result_depends_on_the_generator_alone(kind: Kind) -> None:
 
 
 @each_kind
-def test_colours_of_transparent_pixels_do_not_matter(kind: Kind) -> None:
+def test_colours_of_transparent_pixels_do_not_matter(kind: PerturbationKind) -> None:
     magenta = CAR.copy()
     magenta[magenta[..., 3] == 0] = (255, 0, 255, 0)
     assert difference(spoil(kind, 0.8, 2, magenta), spoil(kind, 0.8, 2)) < 1e-9
@@ -96,7 +98,7 @@ def test_colours_of_transparent_pixels_do_not_matter(kind: Kind) -> None:
 @pytest.mark.parametrize(
     "kind", [kind for kind in KINDS if kind.name not in IN_LOG_PIXELS], ids=lambda kind: kind.name
 )
-def test_effect_is_relative_to_the_extent(kind: Kind) -> None:
+def test_effect_is_relative_to_the_extent(kind: PerturbationKind) -> None:
     """A larger picture of the object is spoilt about as much as a smaller one."""
     one, two = drawn_car(80), drawn_car(160)
     small = np.mean([difference(spoil(kind, 0.8, seed, one), one) for seed in range(5)])
@@ -106,7 +108,7 @@ def test_effect_is_relative_to_the_extent(kind: Kind) -> None:
 
 @each_kind
 @pytest.mark.parametrize("extent", [9, 20, 60])
-def test_small_and_tight_pictures_are_taken(kind: Kind, extent: int) -> None:
+def test_small_and_tight_pictures_are_taken(kind: PerturbationKind, extent: int) -> None:
     tight = drawn_car(extent, edge=0.1)
     for seed in range(4):
         assert spoil(kind, 1.0, seed, tight).shape == tight.shape

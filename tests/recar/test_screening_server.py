@@ -25,7 +25,7 @@ from recast.core.errors import InputError
 from recast.recar.screening import Screening
 from recast.recar.screening.server import ScreeningServer
 from recast.recar.screening.service import ScreeningService
-from recast.recar.targets import Candidate, Target, TargetCache
+from recast.recar.targets import Target, TargetCache, TargetCandidate
 from recast.recar.targets.maker import contact_sheet
 from recast.recar.targets.views import Viewpoint
 from recast.splats import Gaussians
@@ -367,7 +367,7 @@ def test_contact_sheets_have_the_tiles_that_the_page_cuts() -> None:
     target = Target(
         np.zeros((1, 1, 1, 1), np.float32), np.zeros((1, 3), np.int32), np.zeros((1, 1), np.float32)
     )
-    png = contact_sheet(Candidate(target, gaussians, pictures(0), views))
+    png = contact_sheet(TargetCandidate(target, gaussians, pictures(0), views))
     height, width = cv2.imdecode(np.frombuffer(png, np.uint8), cv2.IMREAD_COLOR).shape[:2]
     assert (width % 4, height % 3) == (0, 0)
     assert width // 4 == height // 3

@@ -17,7 +17,7 @@ import torch
 
 from recast.recar.targets import TargetCache, build_targets
 from recast.recar.targets.cache_records import TargetRecord
-from recast.recar.targets.maker import Outcome, TargetMaker, VehicleTask
+from recast.recar.targets.maker import TargetMaker, TargetOutcome, VehicleTask
 from support.moments import forked
 from support.target_caches import box_target
 from support.target_places import SETTINGS, Places
@@ -51,14 +51,14 @@ def test_ten_kills_at_random_moments_change_nothing(
 class QuickMaker:
     """Makes boxes; the second vehicle fails."""
 
-    def make(self, task: VehicleTask) -> Outcome:
+    def make(self, task: VehicleTask) -> TargetOutcome:
         index = int(task.id[-1])
         fields = {"id": task.id, "split": task.split, "kind": task.kind, "seed": index}
         if index == 1:
-            return Outcome(TargetRecord.model_validate(fields | {"failure": "made up"}))
+            return TargetOutcome(TargetRecord.model_validate(fields | {"failure": "made up"}))
         target = box_target(index)
         record = TargetRecord.model_validate(fields | {"voxels": len(target.coords)})
-        return Outcome(record, target, b"picture")
+        return TargetOutcome(record, target, b"picture")
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="no fork")

@@ -14,7 +14,7 @@ from PIL import Image
 
 from recast.core.errors import InputError
 from recast.recar import regular_azimuths
-from recast.recar.targets import Candidate, FilterSettings, Target
+from recast.recar.targets import FilterSettings, Target, TargetCandidate
 from recast.recar.targets.maker import contact_sheet, filter_record, open_score
 from recast.recar.targets.quality import (
     WIDTHS,
@@ -25,7 +25,7 @@ from recast.recar.targets.quality import (
     mirror_symmetry,
 )
 from recast.recar.targets.views import (
-    Cutout,
+    TargetCutout,
     Viewpoint,
     find_heading,
     framed,
@@ -52,7 +52,7 @@ def test_views_nearest_to_the_four_sides_in_the_pipelines_order() -> None:
             nearest_views(set_record(azimuths_deg=regular_azimuths(views)))
 
 
-def car() -> Candidate:
+def car() -> TargetCandidate:
     """Coloured voxels of a car with a red front and a cabin towards the rear, and its pictures."""
     x, y, z = np.meshgrid(*[np.arange(RESOLUTION)] * 3, indexing="ij")
     body = (x > 1) & (x < 22) & (y > 7) & (y < 16) & (z > 8) & (z < 13)
@@ -71,7 +71,7 @@ def car() -> Candidate:
     target = Target(
         np.zeros((8, 3, 3, 3), np.float32), coords, np.zeros((len(coords), 8), np.float32)
     )
-    return Candidate(target, gaussians, pictures, viewpoints)
+    return TargetCandidate(target, gaussians, pictures, viewpoints)
 
 
 def voxels(coords: np.ndarray, colour: np.ndarray) -> Gaussians:
@@ -85,7 +85,7 @@ def voxels(coords: np.ndarray, colour: np.ndarray) -> Gaussians:
     )
 
 
-def part(candidate: Candidate, keep: np.ndarray) -> Candidate:
+def part(candidate: TargetCandidate, keep: np.ndarray) -> TargetCandidate:
     target = candidate.target
     rows = np.flatnonzero(keep)
     return replace(
@@ -107,7 +107,7 @@ def test_a_target_that_shows_its_pictures_scores_high_and_rear_to_front_less() -
     assert turned.score == pytest.approx(quality.flipped, abs=0.01)
 
 
-def looking(one: Candidate, heading_deg: float) -> Candidate:
+def looking(one: TargetCandidate, heading_deg: float) -> TargetCandidate:
     """The same vehicle as a model of any heading may make it."""
     angle = np.radians(heading_deg)
     turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
@@ -209,13 +209,13 @@ def test_framing_removes_place_and_scale(size: int, shift: int) -> None:
     radius = size / 4
     inside = (x - size / 2 - shift / 4) ** 2 + (y - size / 2) ** 2 < radius**2
     alpha = inside.astype(np.float32)
-    found = framed(Cutout(np.dstack([alpha] * 3), alpha), 96)
+    found = framed(TargetCutout(np.dstack([alpha] * 3), alpha), 96)
     rows, columns = np.nonzero(found.mask)
     assert abs(np.ptp(rows) + 1 - 80) <= 2 and abs(np.ptp(columns) + 1 - 80) <= 2
     half_pixel = 0.5 * 80 / (2 * radius)
     assert abs(rows.mean() - 47.5) < max(0.8, half_pixel)
     assert abs(columns.mean() - 47.5) < max(0.8, half_pixel)
-    empty = framed(Cutout(np.zeros((9, 9, 3), np.float32), np.zeros((9, 9), np.float32)), 96)
+    empty = framed(TargetCutout(np.zeros((9, 9, 3), np.float32), np.zeros((9, 9), np.float32)), 96)
     assert empty.alpha.shape == (96, 96) and not empty.mask.any()
 
 

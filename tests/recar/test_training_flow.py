@@ -20,7 +20,7 @@ from recast.recar.training.assets import TrainingAsset
 from recast.recar.training.conditions import (
     AssetConditions,
     ConditionTokens,
-    View,
+    ConditionView,
     balanced_parts,
     draw_identities,
     missing_pictures,
@@ -146,7 +146,7 @@ def test_parts_of_a_step_are_its_batch_and_hold_different_vehicles(
 def test_all_views_of_a_vehicle_are_drawn(stage: TinyStage, model: ImageTo3D) -> None:
     task = task_of(stage, StructureFlow(model.structure_flow))
     views = {v for step in range(40) for v in task._part(StepRandom.of(0, step))[0]}
-    assert views == {View(f"car-{i}", index) for i in range(4) for index in range(3)}
+    assert views == {ConditionView(f"car-{i}", index) for i in range(4) for index in range(3)}
 
 
 def test_conditions_are_dropped_and_altered_as_often_as_asked(
@@ -171,7 +171,7 @@ def test_conditions_are_dropped_and_altered_as_often_as_asked(
 def test_clean_tokens_are_kept_within_the_bound_and_altered_ones_never(stage: TinyStage) -> None:
     one = 5 * 48 * 4
     tokens = tokens_of(stage, kept_bytes=2 * one)
-    views = [View("car-0", 0), View("car-1", 0), View("car-2", 0)]
+    views = [ConditionView("car-0", 0), ConditionView("car-1", 0), ConditionView("car-2", 0)]
     rng = np.random.default_rng(0)
     first = tokens.of(views, [None] * 3, rng)
     again = tokens.of(views, [None] * 3, rng)
@@ -188,7 +188,11 @@ def test_a_training_encoder_has_gradients_and_nothing_is_kept(stage: TinyStage) 
     scale = torch.ones((), requires_grad=True)
     encode = tokens.encoder.encode
     tokens.encoder.encode = lambda images: scale * encode(images)
-    out = tokens.of([View("car-0", 0), View("car-1", 1)], [None, None], np.random.default_rng(0))
+    out = tokens.of(
+        [ConditionView("car-0", 0), ConditionView("car-1", 1)],
+        [None, None],
+        np.random.default_rng(0),
+    )
     out.sum().backward()
     assert scale.grad is not None and tokens.used_bytes == 0
 

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from recast.reporting import BirdseyeStyle, draw_frames, draw_still, palette
-from recast.reporting.canvas import Canvas, View, dashed
+from recast.reporting.canvas import Canvas, CanvasView, dashed
 from recast.reporting.plots import planned_paths, series
 from reporting.made_up_rollouts import cut_in, straight_map, turned
 
@@ -24,19 +24,19 @@ def count(image: np.ndarray, colour: palette.Colour) -> int:
 def test_view_round_trip(
     x: float, y: float, heading: float, scale: float, px: float, py: float
 ) -> None:
-    view = View(np.array([x, y]), heading, scale, 640, 360)
+    view = CanvasView(np.array([x, y]), heading, scale, 640, 360)
     np.testing.assert_allclose(view.pixels(view.world([px, py])), [px, py], atol=1e-9)
 
 
 def test_view_axes() -> None:
-    view = View(np.array([5.0, 2.0]), np.pi / 2, 10.0, 200, 100)
+    view = CanvasView(np.array([5.0, 2.0]), np.pi / 2, 10.0, 200, 100)
     np.testing.assert_allclose(view.pixels([5.0, 2.0]), [100, 50])
     np.testing.assert_allclose(view.pixels([5.0, 3.0]), [110, 50])  # world y points right
     np.testing.assert_allclose(view.pixels([4.0, 2.0]), [100, 40])  # its left is up
 
 
 def test_polygon_covers_its_pixels_and_no_others() -> None:
-    canvas = Canvas(View(np.zeros(2), 0.0, 10.0, 100, 60), (0, 0, 0))
+    canvas = Canvas(CanvasView(np.zeros(2), 0.0, 10.0, 100, 60), (0, 0, 0))
     canvas.polygon([[-2, -1], [2, -1], [2, 1], [-2, 1]], (255, 0, 0))
     inside = np.zeros((60, 100), bool)
     inside[20:40, 30:70] = True
@@ -49,7 +49,7 @@ def test_polygon_covers_its_pixels_and_no_others() -> None:
 
 def test_shapes_drawn_together_are_those_drawn_one_by_one() -> None:
     rng = np.random.default_rng(2)
-    view = View(np.array([3.0, -2.0]), 0.4, 5.0, 200, 120)
+    view = CanvasView(np.array([3.0, -2.0]), 0.4, 5.0, 200, 120)
     chains = [rng.uniform(-15, 15, (count, 2)) for count in (3, 7, 4, 5)]  # overlapping
     together, alone = Canvas(view), Canvas(view)
     together.polygons(chains, palette.EGO)
@@ -63,7 +63,7 @@ def test_shapes_drawn_together_are_those_drawn_one_by_one() -> None:
 
 
 def test_far_points_do_not_spill() -> None:
-    canvas = Canvas(View(np.zeros(2), 0.0, 10.0, 100, 60), (0, 0, 0))
+    canvas = Canvas(CanvasView(np.zeros(2), 0.0, 10.0, 100, 60), (0, 0, 0))
     canvas.line([[1e7, 5e6], [1e8, 9e7]], (255, 255, 255))
     assert canvas.image.max() == 0
 

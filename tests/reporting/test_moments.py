@@ -13,7 +13,7 @@ from recast.reporting.birdseye import Birdseye
 from recast.reporting.marks import MapLayer
 from recast.reporting.moment_strip import camera_towards, moment_strip
 from recast.reporting.moments import find_moments
-from recast.reporting.page import Assets, Media
+from recast.reporting.page import Media, PageAssets
 from recast.simulation.rollout import Rollout
 from reporting.made_up_rollouts import cut_in, straight_map
 
@@ -100,7 +100,7 @@ def test_the_strip_shows_every_arm_at_every_moment(tmp_path: Path) -> None:
         parts.append(dataclasses.replace(part(rollout), films=films))
     run = ReportInputs("t", "l", ARMS, camera_headings={"left": 1.2, "front": 0.0})
     drawn = {arm: Birdseye(rollout, MapLayer(None)) for arm, rollout in rollouts.items()}
-    strip = moment_strip(run, "cut-in", parts, drawn, Assets(tmp_path / "out"))
+    strip = moment_strip(run, "cut-in", parts, drawn, PageAssets(tmp_path / "out"))
     assert strip.arms == (0, 1)
     assert {column.camera for column in strip.columns} == {"front"}
     last = strip.columns[-1]
@@ -120,7 +120,7 @@ def test_a_broken_film_says_so_in_its_cell(tmp_path: Path) -> None:
     parts = [dataclasses.replace(part(rollout), films={"front": tmp_path / "a.mp4"})]
     run = ReportInputs("t", "l", ARMS)
     strip = moment_strip(
-        run, "x", parts, {"native": Birdseye(rollout, MapLayer(None))}, Assets(tmp_path / "out")
+        run, "x", parts, {"native": Birdseye(rollout, MapLayer(None))}, PageAssets(tmp_path / "out")
     )
     [camera] = {column.cells[0].camera for column in strip.columns}
     assert isinstance(camera, NotMade) and "cannot be decoded" in camera.reason

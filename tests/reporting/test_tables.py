@@ -25,7 +25,7 @@ def scenario(setting: str = "a") -> ScenarioPart:
     return ScenarioPart("Cut-in", "", tuple(parts))
 
 
-def cell(line: tables.Line, key: str) -> tables.Cell:
+def cell(line: tables.Line, key: str) -> tables.TableCell:
     return line.cells[list(COLUMNS).index(key)]
 
 

@@ -24,7 +24,7 @@ from recast.reporting import (
     write_video,
 )
 from recast.reporting.checks import checks
-from recast.reporting.page import Assets
+from recast.reporting.page import PageAssets
 from recast.reporting.truth import angle_label, truth_view
 from reporting.made_up_rollouts import HOSTILE, cut_in, straight_map
 from reporting.test_report import Page
@@ -117,7 +117,7 @@ def test_the_first_screen_comes_before_everything(report: Path) -> None:
 def test_the_section_tells_who_wins_at_which_angle(run: ReportInputs, report: Path) -> None:
     truth = run.truth
     assert isinstance(truth, TruthPart)
-    shown = truth_view(truth, Assets(report.parent.parent / "again"))
+    shown = truth_view(truth, PageAssets(report.parent.parent / "again"))
     labels = [line.label for line in shown.lines]
     assert labels == [
         "0° to 30°",

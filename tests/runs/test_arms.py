@@ -12,7 +12,7 @@ from recast.runs.arm_words import parse_arms
 from recast.runs.arms import Arm, disturbed_arms, truth_of
 from recast.runs.config import resolve_config
 from recast.scene.store import SCENE_FILE
-from recast.studies.verdict_parts import Part, parts_of
+from recast.studies.verdict_parts import VerdictPart, parts_of
 
 
 @pytest.fixture
@@ -89,7 +89,7 @@ BAD = [
     ("- {vehicle: own, name: x, views: !!int ''}", "views"),
     ("- {vehicle: own, name: x, views: !!bool maybe}", "views"),
     ("- {vehicle: own, name: x, views: 2001-99-99}", "views"),
-    ("- &a {vehicle: own, name: *a}", "alias of itself"),
+    ("- &a {vehicle: own, name: *a}", "alias that refers to itself"),
     ("- {vehicle: own, name: x}\n- {vehicle: own, nam: y}", r"arms.yaml:2: nam"),
     (f"- {{vehicle: own, name: {ALIASES}}}", "more than 10000 values"),
     (f"- {{vehicle: own, name: {'[' * 400}{']' * 400}}}", "nested too deeply"),
@@ -170,16 +170,16 @@ def test_parts_of_a_disagreement() -> None:
         "0", ["cut-in-a"], None, None, {"arms": ["decomposition", "noise-floor"]}, {}
     )
     assert parts_of([config.arm(arm.name) for arm in config.arms]) == (
-        Part("street", "oracle", "recast+oracle"),
-        Part("street", "oracle+replaced", "replaced"),
-        Part("street", "oracle+none", "recast+none"),
-        Part("vehicle", "oracle", "oracle+replaced"),
-        Part("vehicle", "recast+oracle", "native"),
-        Part("vehicle", "recast+oracle", "replaced"),
-        Part("light", "replaced", "replaced, unlit"),
-        Part("refinement", "replaced", "replaced, unrefined"),
-        Part("no vehicle", "oracle", "oracle+none"),
-        Part("no vehicle", "recast+oracle", "recast+none"),
+        VerdictPart("street", "oracle", "recast+oracle"),
+        VerdictPart("street", "oracle+replaced", "replaced"),
+        VerdictPart("street", "oracle+none", "recast+none"),
+        VerdictPart("vehicle", "oracle", "oracle+replaced"),
+        VerdictPart("vehicle", "recast+oracle", "native"),
+        VerdictPart("vehicle", "recast+oracle", "replaced"),
+        VerdictPart("light", "replaced", "replaced, unlit"),
+        VerdictPart("refinement", "replaced", "replaced, unrefined"),
+        VerdictPart("no vehicle", "oracle", "oracle+none"),
+        VerdictPart("no vehicle", "recast+oracle", "recast+none"),
     )
 
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 import ast
 import hashlib
 import json
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -77,6 +78,7 @@ def code_hash(step: str) -> str:
     return hashlib.sha256("".join(found).encode()).hexdigest()[:16]
 
 
+@cache
 def accepted() -> dict[str, dict[str, str | int]]:
     """Version and hash of each step as this tree has them."""
     return {step: {"version": RECIPES[step], "code": code_hash(step)} for step in RECIPES}

@@ -325,7 +325,7 @@ def test_a_reference_never_leads_out_of_the_store(tmp_path: Path, reference: str
     record = files.read_json(run.path / "run.json")
     record["artefacts"]["scene/recast"] = reference
     files.write_json(run.path / "run.json", record)
-    with pytest.raises(InputError, match="reference: is none"):
+    with pytest.raises(InputError, match="reference: is not the name of an artefact"):
         again = start(run.path)
         again.artefact(again.store(), "scene/recast")
 

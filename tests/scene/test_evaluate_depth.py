@@ -13,7 +13,7 @@ from recast.geometry import se2, se3
 from recast.logs import DrivingLog, LidarStream, LidarSweep, Trajectory
 from recast.scene import SceneImage
 from recast.scene.evaluate_record import DepthScore, SweepsOfImages, depth_score, mean_depth
-from recast.scene.views import View
+from recast.scene.views import TrainingView
 
 CAMERA = PinholeCamera(60, 40, 50.0, 50.0, 30.0, 20.0)
 AHEAD = np.array([[0.0, -1, 0, 0], [0, 0, -1, 0], [1, 0, 0, 0], [0, 0, 0, 1]])
@@ -30,9 +30,9 @@ def wall_log(*times_us: int) -> DrivingLog:
     return DrivingLog("wall", {}, {"top": lidar}, standing, {})
 
 
-def view(time_us: int) -> View:
+def view(time_us: int) -> TrainingView:
     image = np.zeros((40, 60, 3), np.uint8)
-    return View("front", 0, time_us, CAMERA, se3.inverse(AHEAD), image, None, True)
+    return TrainingView("front", 0, time_us, CAMERA, se3.inverse(AHEAD), image, None, True)
 
 
 def rendered(depth: float, alpha: float = 1.0) -> SceneImage:

@@ -17,7 +17,7 @@ from recast.scene.scores import (
     moving_tracks,
     score_regions,
 )
-from recast.scene.views import View
+from recast.scene.views import TrainingView
 
 CAMERA = PinholeCamera(120, 80, 100.0, 100.0, 60.0, 40.0)
 SIZE = np.array([4.0, 2.0, 1.5])
@@ -25,9 +25,9 @@ AHEAD = np.array([[0.0, -1, 0, 0], [0, 0, -1, 0], [1, 0, 0, 0], [0, 0, 0, 1]])
 """Camera from a rig that looks along x."""
 
 
-def view(image: np.ndarray | None = None, mask: np.ndarray | None = None) -> View:
+def view(image: np.ndarray | None = None, mask: np.ndarray | None = None) -> TrainingView:
     image = np.zeros((80, 120, 3), np.uint8) if image is None else image
-    return View("front", 3, 500_000, CAMERA, se3.inverse(AHEAD), image, mask, True)
+    return TrainingView("front", 3, 500_000, CAMERA, se3.inverse(AHEAD), image, mask, True)
 
 
 def driving(x: float, y: float = 0.0, yaw: float = 0.0) -> Track:

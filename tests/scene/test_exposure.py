@@ -5,7 +5,7 @@ import torch
 
 from recast.cameras import PinholeCamera
 from recast.scene.appearance import Exposures, exposed, exposed_colours
-from recast.scene.views import View
+from recast.scene.views import TrainingView
 from recast.splats import rasterize
 
 from .made_up import K, part
@@ -13,10 +13,10 @@ from .made_up import K, part
 AFFINE = torch.tensor([[1.1, 0.05, 0.0, 0.02], [0.0, 0.9, 0.03, 0.01], [0.02, 0.0, 1.05, 0.03]])
 
 
-def view(frame: int) -> View:
+def view(frame: int) -> TrainingView:
     image = np.zeros((4, 6, 3), np.uint8)
     camera = PinholeCamera(6, 4, 5.0, 5.0, 3.0, 2.0)
-    return View("front", frame, frame * 100_000, camera, np.eye(4), image, None, False)
+    return TrainingView("front", frame, frame * 100_000, camera, np.eye(4), image, None, False)
 
 
 def test_views_start_unchanged_and_learn_apart() -> None:

@@ -12,25 +12,25 @@ from recast.scene.config import SceneConfig
 from recast.scene.dynamic import choose_actors, modelled_tracks, pose_at, stands
 from recast.scene.initialise import Initialisation, initialise
 from recast.scene.points import depth_samples, read_sweeps
-from recast.scene.views import View, read_views
+from recast.scene.views import TrainingView, read_views
 from support import tiny_world
 
 CONFIG = SceneConfig(scale=1.0, voxel_m=0.3, sweep_points=1000)
 
 
 @pytest.fixture(scope="module")
-def views(tiny_log: DrivingLog) -> list[View]:
+def views(tiny_log: DrivingLog) -> list[TrainingView]:
     return read_views(tiny_log, CONFIG)
 
 
 @pytest.fixture(scope="module")
-def start(tiny_log: DrivingLog, views: list[View]) -> Initialisation:
+def start(tiny_log: DrivingLog, views: list[TrainingView]) -> Initialisation:
     actors = choose_actors(tiny_log, views, CONFIG)
     return initialise(tiny_log, views, actors, CONFIG, np.random.default_rng(0))
 
 
 def test_no_background_point_in_a_moving_box(
-    tiny_log: DrivingLog, views: list[View], start: Initialisation
+    tiny_log: DrivingLog, views: list[TrainingView], start: Initialisation
 ) -> None:
     sweeps = read_sweeps(tiny_log, choose_actors(tiny_log, views, CONFIG), [])
     track = tiny_log.tracks["0"]
@@ -64,7 +64,7 @@ def test_actor_points_lie_on_the_cars_faces(start: Initialisation) -> None:
 
 
 def test_plane_sweep_adds_points_above_the_lidars_reach(
-    tiny_log: DrivingLog, views: list[View], start: Initialisation
+    tiny_log: DrivingLog, views: list[TrainingView], start: Initialisation
 ) -> None:
     actors = choose_actors(tiny_log, views, CONFIG)
     config = CONFIG.model_copy(update={"sweep_points": 0})
@@ -73,7 +73,7 @@ def test_plane_sweep_adds_points_above_the_lidars_reach(
     assert 0 < added <= 1000
 
 
-def test_held_out_frames_lend_nothing(tiny_log: DrivingLog, views: list[View]) -> None:
+def test_held_out_frames_lend_nothing(tiny_log: DrivingLog, views: list[TrainingView]) -> None:
     actors = choose_actors(tiny_log, views, CONFIG)
     black = [
         replace(view, image=np.zeros_like(view.image)) if view.held_out else view for view in views
@@ -84,7 +84,9 @@ def test_held_out_frames_lend_nothing(tiny_log: DrivingLog, views: list[View]) -
     assert np.array_equal(first.sky.colours, second.sky.colours)
 
 
-def test_depth_samples_agree_with_the_world(tiny_log: DrivingLog, views: list[View]) -> None:
+def test_depth_samples_agree_with_the_world(
+    tiny_log: DrivingLog, views: list[TrainingView]
+) -> None:
     actors = choose_actors(tiny_log, views, CONFIG)
     sweeps = read_sweeps(tiny_log, actors, [])
     view = views[5]  # an odd frame: no sweep of its own
@@ -109,7 +111,7 @@ def test_depth_samples_agree_with_the_world(tiny_log: DrivingLog, views: list[Vi
 
 
 def test_a_track_without_points_gets_a_grid_in_its_box(
-    tiny_log: DrivingLog, views: list[View]
+    tiny_log: DrivingLog, views: list[TrainingView]
 ) -> None:
     ghost_poses = tiny_log.tracks["0"].trajectory.poses.copy()
     ghost_poses[:, 2, 3] += 3.0  # up in the air
@@ -122,7 +124,7 @@ def test_a_track_without_points_gets_a_grid_in_its_box(
     assert np.allclose(np.abs(points).max(axis=0), track.size / 2, atol=1e-5)
 
 
-def test_forced_and_excluded_tracks(tiny_log: DrivingLog, views: list[View]) -> None:
+def test_forced_and_excluded_tracks(tiny_log: DrivingLog, views: list[TrainingView]) -> None:
     def ids(**fields: object) -> set[str]:
         return set(choose_actors(tiny_log, views, CONFIG.model_copy(update=fields)))
 
@@ -136,7 +138,7 @@ def test_forced_and_excluded_tracks(tiny_log: DrivingLog, views: list[View]) -> 
 
 
 def test_a_parked_vehicle_stands_at_the_median_of_its_labels(
-    tiny_log: DrivingLog, views: list[View]
+    tiny_log: DrivingLog, views: list[TrainingView]
 ) -> None:
     labels = tiny_log.tracks["1"].trajectory
     noisy = labels.poses.copy()
@@ -151,7 +153,7 @@ def test_a_parked_vehicle_stands_at_the_median_of_its_labels(
 
 @pytest.mark.parametrize("fault", ["brief", "far", "hidden", "walks"])
 def test_what_was_not_seen_well_stays_background(
-    tiny_log: DrivingLog, views: list[View], fault: str
+    tiny_log: DrivingLog, views: list[TrainingView], fault: str
 ) -> None:
     track, lidars = tiny_log.tracks["1"], tiny_log.lidars
     times, poses = track.trajectory.timestamps_us, track.trajectory.poses.copy()
@@ -172,7 +174,9 @@ def test_what_was_not_seen_well_stays_background(
         assert set(choose_actors(log, views, forced)) == {"0", "1"}
 
 
-def test_a_forced_track_that_is_never_visible(tiny_log: DrivingLog, views: list[View]) -> None:
+def test_a_forced_track_that_is_never_visible(
+    tiny_log: DrivingLog, views: list[TrainingView]
+) -> None:
     track = tiny_log.tracks["1"]
     poses = track.trajectory.poses.copy()
     poses[:, 2, 3] += 500.0
@@ -182,7 +186,7 @@ def test_a_forced_track_that_is_never_visible(tiny_log: DrivingLog, views: list[
         choose_actors(log, views, CONFIG.model_copy(update={"force_dynamic": ("1",)}))
 
 
-def test_a_log_without_sweeps_or_parallax(tiny_log: DrivingLog, views: list[View]) -> None:
+def test_a_log_without_sweeps_or_parallax(tiny_log: DrivingLog, views: list[TrainingView]) -> None:
     blind = replace(tiny_log, lidars={})
     config = CONFIG.model_copy(update={"sweep_points": 0})
     with pytest.raises(InputError, match="LiDAR: 0 points"):

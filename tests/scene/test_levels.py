@@ -9,12 +9,12 @@ from recast.scene import SceneConfig
 from recast.scene.levels import MAX_DEPTHS, make_level
 from recast.scene.points import DepthSamples
 from recast.scene.schedule import coarse_factor
-from recast.scene.views import View
+from recast.scene.views import TrainingView
 
 CAMERA = PinholeCamera(61, 38, 50.0, 50.0, 30.0, 19.0)
 
 
-def made_up(masked: bool) -> tuple[View, np.ndarray, DepthSamples]:
+def made_up(masked: bool) -> tuple[TrainingView, np.ndarray, DepthSamples]:
     rng = np.random.default_rng(0)
     image = rng.integers(0, 256, (38, 61, 3), np.uint8)
     mask = None
@@ -25,7 +25,7 @@ def made_up(masked: bool) -> tuple[View, np.ndarray, DepthSamples]:
     sky[:9, 5:50] = True
     uv = rng.uniform(0, 1, (500, 2)) * [61, 38]
     samples = DepthSamples(rng.uniform(2, 60, 500).astype(np.float32), uv.astype(np.float32))
-    return View("front", 0, 0, CAMERA, np.eye(4), image, mask, False), sky, samples
+    return TrainingView("front", 0, 0, CAMERA, np.eye(4), image, mask, False), sky, samples
 
 
 @pytest.mark.parametrize("masked", [False, True])

@@ -6,19 +6,19 @@ import numpy as np
 from recast.cameras import PinholeCamera
 from recast.geometry import se3
 from recast.scene.plane_sweep import sweep_depths
-from recast.scene.views import View
+from recast.scene.views import TrainingView
 
 CAMERA = PinholeCamera(120, 60, 90.0, 90.0, 60.0, 30.0)
 
 
-def wall_view(frame: int, centre: np.ndarray, depth: float, texture: np.ndarray) -> View:
+def wall_view(frame: int, centre: np.ndarray, depth: float, texture: np.ndarray) -> TrainingView:
     """A camera looking along z at a textured wall at z = depth."""
     pixels = CAMERA.pixel_grid()
     points = centre + CAMERA.unproject(pixels, np.full(pixels.shape[:2], depth - centre[2]))
     uv = ((points[..., :2] + 20) * 12).astype(np.float32)  # 12 texels a metre
     image = cv2.remap(texture, uv[..., 0] - 0.5, uv[..., 1] - 0.5, cv2.INTER_LINEAR)
     pose = se3.from_rotation_translation(np.eye(3), centre)
-    return View("front", frame, frame * 100_000, CAMERA, pose, image, None, False)
+    return TrainingView("front", frame, frame * 100_000, CAMERA, pose, image, None, False)
 
 
 def test_depth_of_a_textured_wall() -> None:

@@ -9,17 +9,19 @@ from recast.geometry import se3
 from recast.logs import Track, Trajectory
 from recast.scene.dynamic import moves, pose_at
 from recast.scene.poses import CameraPoses, TrackPoses, corrected, twist_matrix
-from recast.scene.views import View
+from recast.scene.views import TrainingView
 from recast.splats import Gaussians, rasterize
 
 CAMERA = PinholeCamera(64, 40, 50.0, 50.0, 32.0, 20.0)
 OPENCV = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])  # world from camera axes
 
 
-def view(frame: int, held_out: bool = False, at: tuple[float, float, float] = (0, 0, 0)) -> View:
+def view(
+    frame: int, held_out: bool = False, at: tuple[float, float, float] = (0, 0, 0)
+) -> TrainingView:
     pose = se3.from_rotation_translation(OPENCV, np.array(at, float))
     image = np.zeros((40, 64, 3), np.uint8)
-    return View("front", frame, 100_000 * frame, CAMERA, pose, image, None, held_out)
+    return TrainingView("front", frame, 100_000 * frame, CAMERA, pose, image, None, held_out)
 
 
 def track(count: int = 6) -> Track:

@@ -13,7 +13,7 @@ from recast.scene.losses import TrackSmoothness, actor_opacity, actors_alone, sh
 from recast.scene.points import DepthSamples
 from recast.scene.poses import TrackPoses
 from recast.scene.trainable import TrainableScene
-from recast.scene.views import View
+from recast.scene.views import TrainingView
 from recast.splats import Gaussians
 
 from .made_up import part
@@ -29,10 +29,10 @@ def test_only_needles_cost() -> None:
     assert log_scales.grad[1, 0] < 0 < log_scales.grad[1, 2]
 
 
-def view(index: int, held_out: bool = False) -> View:
+def view(index: int, held_out: bool = False) -> TrainingView:
     camera = PinholeCamera(48, 32, 40.0, 40.0, 24.0, 16.0)
     image = np.zeros((32, 48, 3), np.uint8)
-    return View("front", index, index * 100_000, camera, np.eye(4), image, None, held_out)
+    return TrainingView("front", index, index * 100_000, camera, np.eye(4), image, None, held_out)
 
 
 def drive(positions: np.ndarray) -> Track:

@@ -7,16 +7,16 @@ import torch
 from recast.logs import DrivingLog
 from recast.scene import SceneRasterizer, TrainResult, render_scene
 from recast.scene.sky import OPAQUE
-from recast.scene.views import View, read_view
+from recast.scene.views import TrainingView, read_view
 from recast.splats import rasterize
 
 
 @pytest.fixture(scope="module")
-def view(tiny_log: DrivingLog) -> View:
+def view(tiny_log: DrivingLog) -> TrainingView:
     return read_view(tiny_log, tiny_log.cameras["image_02"], 3, 1.0)
 
 
-def test_fast_path_equals_the_plain_one(trained: TrainResult, view: View) -> None:
+def test_fast_path_equals_the_plain_one(trained: TrainResult, view: TrainingView) -> None:
     scene = trained.scene
     poses = scene.actor_poses(view.timestamp_us)
     assert poses
@@ -36,7 +36,7 @@ def test_fast_path_equals_the_plain_one(trained: TrainResult, view: View) -> Non
     assert image.rgb.dtype == np.float32
 
 
-def test_actors_without_a_pose_are_absent(trained: TrainResult, view: View) -> None:
+def test_actors_without_a_pose_are_absent(trained: TrainResult, view: TrainingView) -> None:
     scene = trained.scene
     poses = scene.actor_poses(view.timestamp_us)
     without = render_scene(scene, view.camera, view.camera_from_world, {})
@@ -46,7 +46,7 @@ def test_actors_without_a_pose_are_absent(trained: TrainResult, view: View) -> N
         render_scene(scene, view.camera, view.camera_from_world, {"nobody": np.eye(4)})
 
 
-def test_a_moved_actor_moves_in_the_image(trained: TrainResult, view: View) -> None:
+def test_a_moved_actor_moves_in_the_image(trained: TrainResult, view: TrainingView) -> None:
     scene = trained.scene
     (track_id, pose), *_ = scene.actor_poses(view.timestamp_us).items()
     empty = render_scene(scene, view.camera, view.camera_from_world, {}).rgb

@@ -13,16 +13,16 @@ from recast.logs import DrivingLog
 from recast.scene import SceneConfig
 from recast.scene.points import DepthSamples
 from recast.scene.sky_masks import sky_mask, sky_masks
-from recast.scene.views import View, read_view
+from recast.scene.views import TrainingView, read_view
 
 CAMERA = "image_02"
 
 
-def few_views(log: DrivingLog, scale: float = 1.0) -> list[View]:
+def few_views(log: DrivingLog, scale: float = 1.0) -> list[TrainingView]:
     return [read_view(log, log.cameras[CAMERA], frame, scale) for frame in (0, 5)]
 
 
-def no_depths(views: list[View]) -> list[DepthSamples]:
+def no_depths(views: list[TrainingView]) -> list[DepthSamples]:
     return [DepthSamples(np.zeros(0, np.float32), np.zeros((0, 2), np.float32)) for _ in views]
 
 
@@ -128,7 +128,7 @@ def test_a_network_in_a_folder(tiny_log: DrivingLog, tmp_path: Path) -> None:
     found = sky_masks(tiny_log, views, no_depths(views), config(tmp_path / "net", "model"))
     assert found[0].shape == views[0].image.shape[:2] and found[0].all()
     write_segformer(tmp_path / "other", "tree")
-    with pytest.raises(InputError, match="no class sky"):
+    with pytest.raises(InputError, match="no class `sky`"):
         sky_masks(tiny_log, views, no_depths(views), config(tmp_path / "other", "model"))
     (tmp_path / "net" / "model.safetensors").unlink()
     with pytest.raises(InputError, match=r"model\.safetensors: is missing"):

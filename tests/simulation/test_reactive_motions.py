@@ -25,7 +25,7 @@ from recast.simulation import (
     prepare,
     run_rollout,
 )
-from recast.simulation import LogReplay as Replay
+from recast.simulation import LoggedMotion as Replay
 from recast.simulation.actor_motion import Scripted
 from recast.simulation.actors import ControlledActors
 from recast.simulation.rollout_start import start_rollout

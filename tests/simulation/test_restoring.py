@@ -15,7 +15,7 @@ from recast.arrays import Image
 from recast.cameras import CameraMount
 from recast.core.errors import InputError
 from recast.simulation import MOTIONS, NullRenderer, RolloutSetup, SimState, Simulator
-from recast.simulation.renderer import Mounted
+from recast.simulation.renderer import MountedRenderer
 from recast.simulation.restoring import RestoringRenderer, make_restorer
 from support.tiny_served import CAMERA, MOVING, RIG_FROM_CAMERA, make_log
 
@@ -30,7 +30,7 @@ MOUNTS = {
 STATE: SimState = Simulator.from_setup(RolloutSetup(make_log(), MOVING, MOTIONS["cut-in-a"])).state
 
 
-class Grey(Mounted):
+class Grey(MountedRenderer):
     """Grey where something is rendered."""
 
     def render(self, state: SimState, camera_names: Any) -> dict[str, Image]:

@@ -364,7 +364,7 @@ def test_a_plan_that_takes_too_long_fails_the_rollout(monkeypatch: pytest.Monkey
     setup = RolloutSetup(drive(), "7", MOTIONS["cut-in-a"], steps=20)
     run_rollout(setup, Slow())
     with pytest.raises(
-        ValueError, match=r"^planner slow: took 2.5 s .* step 10, the limit is 0.5 s"
+        ValueError, match=r"^planner slow: took 2.5 s .* step 10, but the limit is 0.5 s"
     ):
         calls, simulator = PlannerCalls(Slow()), Simulator.from_setup(setup)
         calls.reset(simulator.context)

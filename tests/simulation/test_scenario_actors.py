@@ -13,7 +13,7 @@ from recast.simulation import (
     MOTIONS,
     CutIn,
     Idm,
-    LogReplay,
+    LoggedMotion,
     RolloutSetup,
     Scenario,
     ScenarioActor,
@@ -68,7 +68,7 @@ def test_a_file_with_further_actors(tmp_path: Path) -> None:
         setting="a",
         actors=(
             ScenarioActor("5", Idm("a", speed=0.6, gap=40.0, lateral=0.2), replaced=True),
-            ScenarioActor("un/usual id", LogReplay("a")),
+            ScenarioActor("un/usual id", LoggedMotion("a")),
         ),
         **NAMES,
     )
@@ -194,6 +194,6 @@ def test_no_actors_are_refused(tmp_path: Path, actors: str) -> None:
 
 def test_a_motion_without_numbers_needs_none(tmp_path: Path) -> None:
     text = "version: 1\nname: x\nmotion: log-replay\nsettings:\n  a:\n  b: {}\n"
-    assert read(tmp_path, text) == (LogReplay("a", "x"), LogReplay("b", "x"))
+    assert read(tmp_path, text) == (LoggedMotion("a", "x"), LoggedMotion("b", "x"))
     with pytest.raises(InputError, match=r"my.yaml:5: setting a: is a list; give nothing below"):
         read(tmp_path, text.replace("a:\n", "a: [1]\n"))

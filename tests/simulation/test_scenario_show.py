@@ -11,7 +11,7 @@ from recast.cli.rows.scenarios import place_scenarios, show_scenarios
 from recast.core.errors import InputError
 from recast.logs import write_log
 from recast.logs.hdmap import HdMap
-from recast.reporting.canvas import Canvas, View
+from recast.reporting.canvas import Canvas, CanvasView
 from recast.reporting.scenario_preview import draw_scenarios, facts_table, notes, scenario_facts
 from recast.simulation import MOTIONS, RolloutSetup, prepare
 from support.synthetic_drives import drive
@@ -98,6 +98,6 @@ def test_a_hostile_description_is_text(tmp_path: Path) -> None:
 
 def test_any_name_can_be_drawn() -> None:
     for name in ("../x", "a\0b", "\u202egnp", "\ud800", "x" * 5000, "\x1b[2J", ""):
-        canvas = Canvas(View(np.zeros(2), 0.0, 1.0, 200, 40), (0, 0, 0))
+        canvas = Canvas(CanvasView(np.zeros(2), 0.0, 1.0, 200, 40), (0, 0, 0))
         canvas.text((5, 5), name)
         assert canvas.image.shape == (40, 200, 3)

@@ -13,7 +13,7 @@ from recast.metrics import COLUMNS
 from recast.runs.display import results_tables
 from recast.studies.grid_rows import GridRow, arm_summaries, paired_summaries
 from recast.studies.results import differences_table, grid_table
-from recast.studies.verdict_parts import Part, part_losses
+from recast.studies.verdict_parts import VerdictPart, part_losses
 from recast.studies.verdict_tables import parts_table, truth_table
 from recast.studies.verdicts import agreements, noise_floors
 
@@ -113,7 +113,10 @@ def test_agreement_stands_beside_the_noise_floor() -> None:
 
 def test_the_parts_of_a_disagreement() -> None:
     rows = [replace(one, arm=one.arm.replace("replaced", "omnire+a-long-name")) for one in grid()]
-    parts = [Part("no vehicle", "oracle", "omnire+a-long-name"), Part("light", "oracle", "native")]
+    parts = [
+        VerdictPart("no vehicle", "oracle", "omnire+a-long-name"),
+        VerdictPart("light", "oracle", "native"),
+    ]
     lines = shown(parts_table(part_losses(rows, "oracle", parts, 100, 0)))
     first = lines[line_of(lines, "oracle", "vehicle")].split()
     assert first[:6] == ["oracle", "no", "vehicle", "omnire+", "11,", "8"]

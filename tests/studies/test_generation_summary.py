@@ -11,7 +11,7 @@ import pytest
 
 from recast.core.errors import InputError
 from recast.metrics.frechet import frechet_distance
-from recast.studies.generation.cell import Cell, cell_is, read_cell, read_strip, write_cell
+from recast.studies.generation.cell import StudyCell, cell_is, read_cell, read_strip, write_cell
 from recast.studies.generation.report import (
     StudyFacts,
     differences_table,
@@ -26,23 +26,25 @@ RNG = np.random.default_rng(0)
 TRUE_FEATURES = {id: RNG.normal(size=(2, 3)).astype(np.float32) for id in IDS}
 
 
-def truth() -> dict[str, Cell]:
-    return {id: Cell("k", id, {}, ("a", "b"), features={"toy": TRUE_FEATURES[id]}) for id in IDS}
+def truth() -> dict[str, StudyCell]:
+    return {
+        id: StudyCell("k", id, {}, ("a", "b"), features={"toy": TRUE_FEATURES[id]}) for id in IDS
+    }
 
 
-def cells(gain: float, off: float, fails_on: tuple[str, ...] = ()) -> list[Cell]:
+def cells(gain: float, off: float, fails_on: tuple[str, ...] = ()) -> list[StudyCell]:
     """PSNR rises with `gain`, features are `off` in every number; SSIM is the same for all."""
     made = []
     for index, id in enumerate(IDS):
         if id in fails_on:
-            made.append(Cell("k", id, {}, failure="structure is empty"))
+            made.append(StudyCell("k", id, {}, failure="structure is empty"))
             continue
         scores = tuple(
             {"psnr": 20.0 + index + gain + view, "ssim": 0.5, "mask_iou": 0.9 - (index % 2) * gain}
             for view in (0.0, 1.0)
         )
         features = {"toy": TRUE_FEATURES[id] + np.float32(off)}
-        made.append(Cell("k", id, {}, ("a", "b"), scores, features))
+        made.append(StudyCell("k", id, {}, ("a", "b"), scores, features))
     return made
 
 

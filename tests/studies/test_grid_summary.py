@@ -14,7 +14,7 @@ from recast.dynamics.state import moved_left
 from recast.metrics import COLUMNS
 from recast.metrics.pairs import script_difference
 from recast.studies.grid_rows import GridRow, arm_summaries, paired_summaries
-from recast.studies.verdict_parts import Part, part_losses
+from recast.studies.verdict_parts import VerdictPart, part_losses
 from recast.studies.verdicts import SCHEMA, agreements, noise_floors, verdicts, write_rows
 
 
@@ -138,8 +138,13 @@ def test_the_noise_floor_pools_the_disturbed_truths() -> None:
 
 
 def test_parts_lose_agreement_on_the_scenarios_of_both() -> None:
-    parts = [Part("vehicle", "native", "replaced"), Part("street", "oracle", "native")]
-    vehicle, street = part_losses(ROWS, "oracle", [*parts, Part("light", "native", "no")], 500, 0)
+    parts = [
+        VerdictPart("vehicle", "native", "replaced"),
+        VerdictPart("street", "oracle", "native"),
+    ]
+    vehicle, street = part_losses(
+        ROWS, "oracle", [*parts, VerdictPart("light", "native", "no")], 500, 0
+    )
     # one-b has no replaced: native disagrees and agrees, replaced agrees and disagrees
     assert (vehicle.pairs, vehicle.scenes) == (2, 2)
     assert (vehicle.agreeing, vehicle.other_agreeing, vehicle.loss.point) == (1, 1, 0.0)

@@ -19,7 +19,7 @@ from recast.simulation import (
     failure,
     run_rollout,
 )
-from recast.simulation.renderer import Mounted
+from recast.simulation.renderer import MountedRenderer
 from recast_bridges.alpasim.driver import AlpaSimDriver
 from support.synthetic_drives import drive
 
@@ -54,7 +54,7 @@ def attempt(setup: RolloutSetup, planner: Planner) -> Rollout | RolloutFailure:
         return failure(setup, planner.name, error)
 
 
-class Noise(Mounted):
+class Noise(MountedRenderer):
     """Other pictures at each step: as dark as the ego has come far."""
 
     def render(self, state: SimState, camera_names: Sequence[str]) -> dict[str, Image]:

@@ -8,13 +8,13 @@ import shapely
 from recast.dynamics import state as ego
 from recast.logs.hdmap import HdMap, Lane
 from recast.planning.map import PlannerLane, PlannerMap
-from recast.planning.pdm import Kind, LanePath, Obstacle, observed
+from recast.planning.pdm import AgentKind, Centreline, Obstacle, observed
 
 STATES = 41
 TIMES = 0.1 * np.arange(STATES)
 CROSSING = (100.0, 130.0)
 ROUTE_LANES = ("ahead", "across", "beyond")
-CENTRELINE = LanePath(np.array([[x, 0.0, 0.0] for x in np.arange(-50.0, 201.0, 1.0)]))
+CENTRELINE = Centreline(np.array([[x, 0.0, 0.0] for x in np.arange(-50.0, 201.0, 1.0)]))
 
 
 def road() -> PlannerMap:
@@ -50,7 +50,7 @@ def straight(speed, x=0.0, y=0.0, acceleration=0.0, yaw_rate=0.0) -> np.ndarray:
     return states
 
 
-def user(x, y=0.0, speed=0.0, kind=Kind.VEHICLE, size=(4.0, 2.0), token="v") -> Obstacle:
+def user(x, y=0.0, speed=0.0, kind=AgentKind.VEHICLE, size=(4.0, 2.0), token="v") -> Obstacle:
     """A road user that heads along x."""
     return Obstacle(
         token, kind, np.array([x, y, 0.0]), np.array([speed, 0.0]), np.array(size, np.float64)

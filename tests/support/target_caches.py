@@ -11,9 +11,9 @@ from PIL import Image
 
 from recast.core import files
 from recast.recar.targets import (
+    CachedModelRecord,
     CacheRecord,
     FilterRecord,
-    ModelRecord,
     Target,
     TargetCache,
     TargetRecord,
@@ -42,7 +42,7 @@ def box_target(
 
 def cache_record(identities: int, failures: int = 0, **changes: object) -> CacheRecord:
     """A complete cache of a model called "tiny"; scores count from 0.5 on."""
-    model = ModelRecord(
+    model = CachedModelRecord(
         name="tiny",
         sha256="0" * 64,
         resolution=RESOLUTION,

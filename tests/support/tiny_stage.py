@@ -13,7 +13,7 @@ from rich.console import Console
 from recast.core.files import write_json
 from recast.recar import begin_set, finish_set, regular_azimuths, write_identity
 from recast.recar.set_records import IdentityRecord, SetRecord
-from recast.recar.targets import CacheRecord, ModelRecord, Target, TargetCache, TargetRecord
+from recast.recar.targets import CachedModelRecord, CacheRecord, Target, TargetCache, TargetRecord
 from recast.recar.training.stage import train_stage
 from recast.recar.training.stage_config import StageConfig
 from recast.recar.training.stage_parts import StageRequest
@@ -114,7 +114,7 @@ def _write_targets(folders: TinyStage, splits: dict[str, Any]) -> None:
     record = CacheRecord(
         complete=True,
         vehicle_set="rectangles",
-        model=ModelRecord(
+        model=CachedModelRecord(
             name="golden",
             sha256="0" * 64,
             resolution=model.latent_flow.config.resolution,

@@ -8,7 +8,7 @@ import pytest
 from recast.logs import HdMap, Lane
 from recast.synthetic.routes import (
     LATERAL_LIMIT,
-    LanePath,
+    RoutePath,
     SpeedProfile,
     beside,
     extended_route,
@@ -26,7 +26,7 @@ def lane(name: str, points: np.ndarray) -> Lane:
 def test_a_circle_has_its_curvature_and_tangent() -> None:
     angle = np.linspace(0.0, 1.5, 40)
     circle = 20.0 * np.stack([np.sin(angle), 1 - np.cos(angle)], axis=-1)
-    path = LanePath.along(HdMap({"a": lane("a", circle)}, ()), ["a"])
+    path = RoutePath.along(HdMap({"a": lane("a", circle)}, ()), ["a"])
     middle = np.linspace(8.0, path.length - 8.0, 30)
     np.testing.assert_allclose(path.curvature(middle), 1 / 20, rtol=0.03)
     x, y = path.position(middle).T
@@ -38,7 +38,7 @@ def test_a_circle_has_its_curvature_and_tangent() -> None:
 def test_both_axles_of_a_vehicle_are_on_the_path() -> None:
     angle = np.linspace(0.0, 1.5, 40)
     circle = 15.0 * np.stack([np.sin(angle), 1 - np.cos(angle)], axis=-1)
-    path = LanePath.along(HdMap({"a": lane("a", circle)}, ()), ["a"])
+    path = RoutePath.along(HdMap({"a": lane("a", circle)}, ()), ["a"])
     pose = path.poses(10.0, wheelbase=6.0)
     axis = 3.0 * np.array([np.cos(pose[2]), np.sin(pose[2])])
     for axle in (pose[:2] - axis, pose[:2] + axis):
@@ -47,7 +47,7 @@ def test_both_axles_of_a_vehicle_are_on_the_path() -> None:
 
 def test_a_corner_is_rounded() -> None:
     corner = np.array([[0.0, 0.0], [30.0, 0.0], [55.0, 25.0]])
-    path = LanePath.along(HdMap({"a": lane("a", corner)}, ()), ["a"])
+    path = RoutePath.along(HdMap({"a": lane("a", corner)}, ()), ["a"])
     s = np.linspace(1.0, path.length - 1.0, 400)
     step = np.abs(np.diff(path.heading(s)))
     assert step.max() < 0.1
@@ -68,7 +68,7 @@ def test_routes_go_on_to_both_ends_of_the_road() -> None:
 
 def test_bends_are_taken_slowly_and_braking_is_gentle() -> None:
     street = small_street(bend=2.4)  # 25 m radius
-    path = LanePath.along(street.map, street.ego_route)
+    path = RoutePath.along(street.map, street.ego_route)
     profile = speed_profile(path, 13.0, np.random.default_rng(0))
     times = np.arange(0.0, 15.0, 0.1)
     s = profile.drive(60.0, times)

@@ -177,7 +177,7 @@ def test_the_truth_beside_the_log_is_that_of_its_images(
     np.testing.assert_array_equal(truth.instance("front", 2), frame.instance)
     assert np.isinf(truth.depth("front", 2)[truth.instance("front", 2) == 65535]).all()
     for camera, number in (("front", FRAMES), ("back", 0)):
-        with pytest.raises(InputError, match="choose of front_left 0-5"):
+        with pytest.raises(InputError, match="choose one of front_left 0-5"):
             truth.depth(camera, number)
 
 
@@ -246,7 +246,7 @@ def test_label_noise_is_as_large_as_said() -> None:
     [
         ({"width": 15}, "width: 15 pixels"),
         ({"height": 8193}, "height: 8193 pixels"),
-        ({"cameras": ("rear",)}, "choose of front_left, front, front_right"),
+        ({"cameras": ("rear",)}, "choose one of front_left, front, front_right"),
         ({"cameras": ()}, "names none"),
         ({"cameras": ("front", "front")}, "one twice"),
         ({"label_noise": -0.1}, "label noise"),

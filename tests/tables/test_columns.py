@@ -13,18 +13,18 @@ import pytest
 from pyarrow import feather
 
 from recast.core.errors import InputError
-from recast.tables import ParquetRows, Table, read_feather, read_parquet
+from recast.tables import ArrowTable, ParquetRows, read_feather, read_parquet
 
 MEND = "mend it"
-Write = Callable[[pa.Table, Path], Table]
+Write = Callable[[pa.Table, Path], ArrowTable]
 
 
-def through_feather(table: pa.Table, folder: Path) -> Table:
+def through_feather(table: pa.Table, folder: Path) -> ArrowTable:
     feather.write_feather(table, str(folder / "t.feather"), chunksize=3)
     return read_feather(folder / "t.feather", table.column_names, MEND)
 
 
-def through_parquet(table: pa.Table, folder: Path) -> Table:
+def through_parquet(table: pa.Table, folder: Path) -> ArrowTable:
     pq.write_table(table, folder / "t.parquet", row_group_size=3)
     return read_parquet(folder / "t.parquet", table.column_names, MEND)
 

@@ -63,7 +63,7 @@ def changed(header: str) -> bytes:
         (changed("{'descr': '<f4', 'fortran_order': False, 'shape': (10**9,)}"), "damaged header"),
         (
             changed("{'descr': '<f4', 'fortran_order': False, 'shape': (99999999999,)}"),
-            "says 399999999996 bytes of values, 32 are there",
+            "says 399999999996 bytes of values, 32 are present",
         ),
         (
             changed("{'descr': '<f4', 'fortran_order': False, 'shape': (-2, -4)}"),
@@ -71,7 +71,7 @@ def changed(header: str) -> bytes:
         ),
         (
             changed("{'descr': '<f4', 'fortran_order': False, 'shape': (7,)}"),
-            "says 28 bytes of values, 32 are there",
+            "says 28 bytes of values, 32 are present",
         ),
         (changed("{'descr': '|O', 'fortran_order': False, 'shape': (4,)}"), "never loaded"),
         (changed("{'descr': '|V4', 'fortran_order': False, 'shape': (8,)}"), "not plain values"),

@@ -18,7 +18,7 @@ from recast.scene.street_scene import SceneActor
 from recast.simulation import MOTIONS, Rollout, RolloutSetup, camera_mounts, run_rollout
 from recast.splats import Gaussians
 from recast.splats.sh import C0
-from recast.viewer import Drive, FilmFrames, ViewInputs, recording, rollout_drive
+from recast.viewer import FilmFrames, ViewedDrive, ViewInputs, recording, rollout_drive
 
 TARGET = "0"
 
@@ -63,7 +63,7 @@ def rollout(tiny_log: DrivingLog, tiny_map: HdMap) -> Rollout:
 
 
 @pytest.fixture(scope="session")
-def drive(tiny_log: DrivingLog, tiny_map: HdMap, rollout: Rollout) -> Drive:
+def drive(tiny_log: DrivingLog, tiny_map: HdMap, rollout: Rollout) -> ViewedDrive:
     """The rollout with a film of the first camera."""
     film = FilmFrames()
     for step in range(rollout.steps_run):
@@ -78,7 +78,7 @@ def inputs(
     tiny_log: DrivingLog,
     tiny_map: HdMap,
     scenes: dict[str, StreetScene | None],
-    drive: Drive,
+    drive: ViewedDrive,
 ) -> ViewInputs:
     runner = log_runner(tiny_log, tiny_map, scenes, scenes["native"])
     return ViewInputs(

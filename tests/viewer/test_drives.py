@@ -16,7 +16,7 @@ from recast.runs import view_run
 from recast.runs.arms import Arm
 from recast.scene import StreetScene
 from recast.simulation import Rollout
-from recast.viewer import Drive, recording
+from recast.viewer import ViewedDrive, recording
 from recast.viewer.bake import drivable_mesh, segments
 from recast.viewer.drives import FilmFrames, sampled
 from recast.viewer.panel_play import ABOVE, AT_ACTOR, BEHIND_EGO, look, look_names
@@ -46,7 +46,7 @@ def test_the_images_of_a_recording_are_the_nearest_in_time(tiny_log: DrivingLog)
     assert np.array_equal(film[7], stream.images[frame])
 
 
-def test_a_rollout_has_its_plans_in_the_world(drive: Drive, rollout: Rollout) -> None:
+def test_a_rollout_has_its_plans_in_the_world(drive: ViewedDrive, rollout: Rollout) -> None:
     assert [step for step, _ in drive.plans] == rollout.plan_steps.tolist()
     step, points = drive.plans[1]
     local = se3.apply(se3.inverse(rollout.world_from_rig[step]), points)
@@ -65,7 +65,7 @@ def test_contact_is_a_moment(tiny_log: DrivingLog, tiny_map: HdMap, rollout: Rol
     assert sum(label.startswith("plan") for label in labels) == len(rollout.plan_steps)
 
 
-def test_a_look_through_a_camera_is_that_cameras(drive: Drive) -> None:
+def test_a_look_through_a_camera_is_that_cameras(drive: ViewedDrive) -> None:
     name = next(iter(drive.cameras))
     assert look_names(drive) == (BEHIND_EGO, AT_ACTOR, ABOVE, name)
     assert drive.rig is not None

@@ -18,7 +18,7 @@ from recast.geometry import se3
 from recast.viewer import Page, ViewInputs
 from recast.viewer.panel_layers import Browser, ExactView
 from recast.viewer.panel_track import faded, track_evidence
-from recast.viewer.stage import Shown, Stage
+from recast.viewer.stage import Shown, ViewerStage
 
 pytest.importorskip("viser")
 
@@ -61,7 +61,7 @@ def test_a_street_that_arms_share_is_sent_once(page: Page) -> None:
 
 
 def test_an_arm_is_sent_when_it_is_first_shown(page: Page, inputs: ViewInputs) -> None:
-    stage = Stage(page.server, inputs, 10_000, ["native"])
+    stage = ViewerStage(page.server, inputs, 10_000, ["native"])
     street = len(inputs.scenes["native"].background)  # type: ignore[union-attr]
     assert stage.splats.total == street + 600
     stage.show(Shown("advancing-a", "replaced", 0))
@@ -145,7 +145,7 @@ def test_two_pages_take_two_ports(page: Page, inputs: ViewInputs) -> None:
 
 
 def test_fewer_gaussians_are_sent_if_that_is_asked_for(page: Page, inputs: ViewInputs) -> None:
-    server, stage = page.server, Stage(page.server, inputs, 100, inputs.scenes)
+    server, stage = page.server, ViewerStage(page.server, inputs, 100, inputs.scenes)
     assert (stage.splats.kept, stage.splats.total) == (100, page.stage.splats.total)
     stage.show(Shown("advancing-a", "native", 0))
     server.scene.reset()

@@ -7,14 +7,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from recast.viewer import Drive, ViewInputs
+from recast.viewer import ViewedDrive, ViewInputs
 from recast.viewer.playback import Playback
 
 
 def of_steps(*drives: tuple[int, float]) -> Playback:
     """Arms "0", "1", ... of so many steps of so many seconds."""
     arms = {
-        str(arm): Drive(dt, np.arange(steps), None, {}, {})
+        str(arm): ViewedDrive(dt, np.arange(steps), None, {}, {})
         for arm, (steps, dt) in enumerate(drives)
     }
     return Playback(ViewInputs("drives", dict.fromkeys(arms), {"only": arms}))
@@ -71,7 +71,7 @@ def test_listeners_are_told_of_steps_only_when_one_passes(inputs: ViewInputs) ->
 
 
 def test_a_new_drive_is_shown_from_its_start_and_given_inputs_stay(
-    inputs: ViewInputs, drive: Drive
+    inputs: ViewInputs, drive: ViewedDrive
 ) -> None:
     playback = Playback(inputs)
     playback.go_to(3)

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 from huggingface_hub import constants, file_download  # noqa: F401  # before a test forks
 
-from recast.weights import PUBLISHED, Licence, Source, Weights
+from recast.weights import PUBLISHED, Licence, Weights, WeightsSource
 from weights.hub import Content, Hub
 
 MIT = Licence("MIT", "https://example.org/mit")
@@ -37,7 +37,7 @@ def hub(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Hub]:
     hub.stop()
 
 
-def entry(*sources: Source, name: str = "toy", **more: object) -> Weights:
+def entry(*sources: WeightsSource, name: str = "toy", **more: object) -> Weights:
     """An entry of the table."""
     return Weights(name, "tests", ("--generator",), 0.1, sources, "generator", **more)  # type: ignore[arg-type]
 
@@ -46,6 +46,6 @@ def entry(*sources: Source, name: str = "toy", **more: object) -> Weights:
 def toy(hub: Hub, monkeypatch: pytest.MonkeyPatch) -> Weights:
     """An entry "toy" of a repository that the hub has, on its main branch."""
     hub.commit("someone/toy", FILES)
-    weights = entry(Source("someone/toy", ("config.json", "deep/*.safetensors"), MIT))
+    weights = entry(WeightsSource("someone/toy", ("config.json", "deep/*.safetensors"), MIT))
     monkeypatch.setitem(PUBLISHED, "toy", weights)  # type: ignore[arg-type]
     return weights

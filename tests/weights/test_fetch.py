@@ -14,7 +14,7 @@ from faults.children import refused_from
 from recast.core.errors import InputError
 from recast.core.plugins import GENERATORS, PLANNERS, SEGMENTERS
 from recast.pretrained import VQA_SCORERS
-from recast.weights import PUBLISHED, Licence, Source, Weights, weights_folder
+from recast.weights import PUBLISHED, Licence, Weights, WeightsSource, weights_folder
 from recast.weights.fetch import fetch
 from recast.weights.fetched import opened, read_weights_record, verify
 from support.moments import killed_before
@@ -138,7 +138,7 @@ def test_a_missing_file_repository_or_answer(
     said = refusal(entry(replace(source, files=("gone.json",))))
     assert "someone/toy: gone.json: is not in the repository at main" in said
     assert "does not exist" in refusal(entry(replace(source, where="someone/gone")))
-    assert "does not exist" in refusal(entry(Source("https://example.org", ("gone",), MIT)))
+    assert "does not exist" in refusal(entry(WeightsSource("https://example.org", ("gone",), MIT)))
     hub.stop()
     said = refusal(toy)
     assert "does not answer (ConnectError" in said and "check the connection" in said
@@ -212,9 +212,9 @@ def test_a_changed_byte_is_found(hub: Hub, toy: Weights) -> None:
     folder = fetch(toy)
     path = folder / LARGE
     path.write_bytes(WHOLE[LARGE][:-1] + b"?")
-    with pytest.raises(InputError, match=r"changed after toy was fetched; remove .* get toy"):
+    with pytest.raises(InputError, match=r"changed after toy was downloaded; remove .* get toy"):
         opened(toy)
-    with pytest.raises(InputError, match="changed after toy was fetched"):
+    with pytest.raises(InputError, match="changed after toy was downloaded"):
         fetch(toy)
     path.unlink()
     with pytest.raises(InputError, match="this file is missing"):
@@ -246,7 +246,7 @@ def test_mirrors(hub: Hub, toy: Weights, monkeypatch: pytest.MonkeyPatch) -> Non
     other = Hub(repositories=hub.repositories)
     other.start()
     monkeypatch.setenv("HF_ENDPOINT", other.address)
-    both = entry(*toy.sources, Source("https://example.org/a", ("b.bin",), MIT))
+    both = entry(*toy.sources, WeightsSource("https://example.org/a", ("b.bin",), MIT))
     hub.web["example.org/a/b.bin"] = b"web"
     folder = fetch(both)
     assert other.asked == [] and (folder / "b.bin").read_bytes() == b"web"

@@ -22,7 +22,15 @@ from recast.planning import PLANNERS, make_planner
 from recast.planning.gtrs import folder, load_checkpoint, new_model, write_vocabulary
 from recast.planning.gtrs.folder import PREFIX
 from recast.runs.sources import generator_source, planner_source, segmenter_source
-from recast.weights import PUBLISHED, Licence, Source, Weights, located, place, weights_folder
+from recast.weights import (
+    PUBLISHED,
+    Licence,
+    Weights,
+    WeightsSource,
+    located,
+    place,
+    weights_folder,
+)
 from recast.weights.fetch import fetch
 from recast.weights.fetched import read_weights_record
 from support.tiny_networks import write_tiny_networks
@@ -31,11 +39,11 @@ from weights.conftest import MIT, entry
 from weights.hub import Content, Hub, sha256
 
 
-def publish(hub: Hub, folder: Path, repository: str, into: str = "") -> Source:
+def publish(hub: Hub, folder: Path, repository: str, into: str = "") -> WeightsSource:
     """Put all files of a folder on the hub."""
     paths = [path for path in sorted(folder.rglob("*")) if path.is_file()]
     files: dict[str, Content] = {path.relative_to(folder).as_posix(): path for path in paths}
-    return Source(repository, tuple(files), MIT, hub.commit(repository, files), into=into)
+    return WeightsSource(repository, tuple(files), MIT, hub.commit(repository, files), into=into)
 
 
 def told(capsys: pytest.CaptureFixture[str], *words: str) -> tuple[int, str]:
@@ -62,7 +70,7 @@ def test_a_generator_by_name(hub: Hub, tmp_path: Path, monkeypatch: pytest.Monke
     assert generator.folder == folder == weights_folder("trellis")
     assert generator_source("trellis") == folder_hash(folder)
     (folder / "pipeline.json").write_text("{}")
-    with pytest.raises(InputError, match="changed after trellis was fetched"):
+    with pytest.raises(InputError, match="changed after trellis was downloaded"):
         GENERATORS.resolve("trellis")
     with pytest.raises(InputError, match="trellis: is not known"):
         PLANNERS.resolve("trellis")
@@ -113,7 +121,9 @@ def test_a_planner_by_name_is_converted_once(
     pinned = real.sources[1].sha256["8192.npy"]
     with pytest.raises(InputError, match=f"not {pinned[:20]}"):  # of the released vocabulary
         fetch(real, accepted=True)
-    web = Source(real.sources[1].where, ("8192.npy",), MIT, sha256={"8192.npy": sha256(vocabulary)})
+    web = WeightsSource(
+        real.sources[1].where, ("8192.npy",), MIT, sha256={"8192.npy": sha256(vocabulary)}
+    )
     weights = Weights(
         "gtrs-dense",
         real.use,
@@ -143,7 +153,7 @@ def test_a_planner_by_name_is_converted_once(
 def pickled_entry(hub: Hub, data: bytes) -> Weights:
     hub.commit("someone/pickle", {"config.json": b"{}", "pytorch_model.bin": data})
     return entry(
-        Source("someone/pickle", ("config.json", "pytorch_model.bin"), MIT),
+        WeightsSource("someone/pickle", ("config.json", "pytorch_model.bin"), MIT),
         name="pickle",
         converter="recast.weights.fetch:safetensors_of_pickle",
         converted=("pytorch_model.bin",),
@@ -202,10 +212,10 @@ def test_the_command_line(
     assert "pinned by recast" in text and "(to accept)" in text
     hub.stop()
     assert told(capsys, "get", "toy") == (0, f"toy is here: {folder}")
-    assert told(capsys, "verify") == (0, "toy: 2 files, 0.00 GB, as fetched")
+    assert told(capsys, "verify") == (0, "toy: 2 files, 0.00 GB, as downloaded")
     (weights_folder("toy") / "config.json").write_bytes(b'{"model": "tou"}')
     code, text = told(capsys, "verify", "toy")
-    assert code == 2 and "changed after toy was fetched" in text
+    assert code == 2 and "changed after toy was downloaded" in text
     assert "is not a name of published weights" in told(capsys, "get", "tyo")[1]
 
 
@@ -219,7 +229,7 @@ def test_terms_on_a_terminal_and_elsewhere(
     code: int,
 ) -> None:
     terms = Licence("CC BY-NC 4.0", "https://example.org/terms", restricted=True)
-    source = Source("someone/toy", ("config.json",), terms)
+    source = WeightsSource("someone/toy", ("config.json",), terms)
     monkeypatch.setitem(PUBLISHED, "toy", entry(source))  # type: ignore[arg-type]
     monkeypatch.setattr("sys.stdin.isatty", lambda: answer in ("y", "n"), raising=False)
     monkeypatch.setattr("builtins.input", lambda *text: answer)

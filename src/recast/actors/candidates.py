@@ -57,7 +57,7 @@ class AutoGenerator:
 
 
 @dataclass(frozen=True)
-class Choice:
+class CandidateChoice:
     """The best candidate, registered, with the table of all in its provenance.
 
     It `fits` if it has the vehicle's shape; if not, it is the best of those that have not.
@@ -73,7 +73,7 @@ def choose(
     log: DrivingLog,
     evidence: Evidence,
     progress: Progress | None = None,
-) -> Choice:
+) -> CandidateChoice:
     """Register and score every candidate, and take the best.
 
     Args:
@@ -117,7 +117,7 @@ def choose(
     provenance = actor.provenance.model_copy(update={"candidates": tuple(rows)})
     kept = rows[chosen].score
     assert kept is not None
-    return Choice(replace(actor, provenance=provenance), kept.fits)
+    return CandidateChoice(replace(actor, provenance=provenance), kept.fits)
 
 
 def _label(asset: Asset) -> str:

@@ -26,7 +26,7 @@ from recast.core.progress import Progress
 from recast.logs import DrivingLog, Track, track_points
 from recast.scene import SceneConfig
 from recast.scene.dynamic import pose_at
-from recast.scene.views import View, camera_names, is_held_out, read_view
+from recast.scene.views import TrainingView, camera_names, is_held_out, read_view
 
 LEAST_HEIGHT = 14.0
 """Pixels of the projected box: in a smaller one nothing is told apart."""
@@ -182,7 +182,7 @@ def _window(camera: PinholeCamera, rectangle: Array | None) -> tuple[int, int, i
 def _hidden(
     log: DrivingLog,
     track: Track,
-    view: View,
+    view: TrainingView,
     camera: PinholeCamera,
     camera_from_world: Array,
     camera_from_object: Array,

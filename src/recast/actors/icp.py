@@ -33,7 +33,7 @@ INLIER_DISTANCE = 0.10  # metres
 
 
 @dataclass(frozen=True)
-class Surface:
+class FitSurface:
     """Surface-like centres of an asset.
 
     Attributes:
@@ -47,7 +47,7 @@ class Surface:
     index: NDArray[np.int64]
 
 
-def outer_surface(gaussians: Gaussians) -> Surface:
+def outer_surface(gaussians: Gaussians) -> FitSurface:
     """Opaque Gaussians that are frontmost from at least one of 26 directions around the asset.
 
     Works in the asset's own units. Normals are the shortest axes of flat Gaussians; for round ones
@@ -63,7 +63,7 @@ def outer_surface(gaussians: Gaussians) -> Surface:
     outside = seen_from_outside(points)[1].any(axis=0)
     kept = opaque[outside]
     points = points[outside]
-    return Surface(points, _normals(gaussians, kept, points), kept)
+    return FitSurface(points, _normals(gaussians, kept, points), kept)
 
 
 def require_volume(points: Array) -> None:
@@ -227,7 +227,7 @@ _NOISE = 0.03
 
 
 def align(
-    surface: Surface, lidar: Array, limits: IcpLimits | None = None, floor: float | None = None
+    surface: FitSurface, lidar: Array, limits: IcpLimits | None = None, floor: float | None = None
 ) -> IcpResult:
     """The move, within the limits, of a surface onto LiDAR points (M, 3), both in the actor frame.
 
@@ -259,7 +259,7 @@ def align(
 
 
 def _step(
-    surface: Surface,
+    surface: FitSurface,
     tree: cKDTree,
     lidar: Array,
     state: Array,

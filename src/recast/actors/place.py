@@ -18,7 +18,7 @@ from scipy.optimize import minimize
 from recast.actors.actor import triple
 from recast.actors.drawing import compare_views
 from recast.actors.generate import Asset
-from recast.actors.icp import Fit, Surface, bounds, extent, outer_surface
+from recast.actors.icp import Fit, FitSurface, bounds, extent, outer_surface
 from recast.actors.observation import Observation
 from recast.arrays import Array
 from recast.core.errors import InputError
@@ -114,13 +114,13 @@ class Start:
     scale: float
     matrix: Array
 
-    def apply(self, surface: Surface) -> Surface:
+    def apply(self, surface: FitSurface) -> FitSurface:
         """The surface, placed."""
         points = se3.apply(self.matrix, surface.points * self.scale)
-        return Surface(points, surface.normals @ self.matrix[:3, :3].T, surface.index)
+        return FitSurface(points, surface.normals @ self.matrix[:3, :3].T, surface.index)
 
 
-def stood_up(asset: Asset) -> tuple[Gaussians, Surface]:
+def stood_up(asset: Asset) -> tuple[Gaussians, FitSurface]:
     """An asset with its axes turned upright, in its own units, and its outer surface.
 
     Raises:

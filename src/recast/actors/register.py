@@ -13,7 +13,7 @@ from scipy.spatial import cKDTree
 from recast.actors.actor import Actor, FrontEvidence, Provenance, RegistrationReport, triple
 from recast.actors.drawing import compare_views
 from recast.actors.generate import Asset
-from recast.actors.icp import IcpLimits, Surface, align, bounds, extent, fit_of, thinned
+from recast.actors.icp import FitSurface, IcpLimits, align, bounds, extent, fit_of, thinned
 from recast.actors.insert import contact_shadow
 from recast.actors.observation import SIDES, Observation
 from recast.actors.observe import require_points
@@ -108,7 +108,7 @@ def lidar_by_side(points: Array, size: Array) -> dict[str, int]:
 
 def _orientation(
     gaussians: Gaussians,
-    surface: Surface,
+    surface: FitSurface,
     lidar: Array,
     size: Array,
     observation: Observation,
@@ -157,7 +157,7 @@ def _search_cost(points: Array, lidar: Array, start: Start, size: Array) -> floa
 def _agreement(
     gaussians: Gaussians,
     low_pass: LowPass,
-    surface: Surface,
+    surface: FitSurface,
     lidar: Array,
     start: Start,
     observation: Observation,
@@ -169,7 +169,7 @@ def _agreement(
     return PoseAgreement(fit_of(start.apply(surface).points, lidar), silhouette, colour)
 
 
-def aligned(surface: Surface, lidar: Array, start: Start, size: Array) -> Start:
+def aligned(surface: FitSurface, lidar: Array, start: Start, size: Array) -> Start:
     """A start after a short alignment to LiDAR points (N, 3) in a box of `size` (3,)."""
     placed, few = start.apply(surface), thinned(lidar, 1500)
     result = align(placed, few, IcpLimits(iterations=15), floor=-size[2] / 2)

@@ -164,7 +164,7 @@ class Turntable:
 
 
 @dataclass(frozen=True)
-class Show:
+class ActorShow:
     """Draw an actor on one sheet: source image, eight views, seen, mirrored and invented surfaces,
     and provenance."""
 
@@ -181,7 +181,7 @@ class Show:
 
 
 @dataclass(frozen=True)
-class Export:
+class ActorExport:
     """Write an actor for other programs: Gaussians of the vehicle and of its shadow, size and
     conventions."""
 
@@ -201,5 +201,11 @@ class Export:
 Actor = shared.group(
     "actor",
     "Make, draw or export a view-complete vehicle, or write a video of it.",
-    {"make": Make, "generate": Generate, "turntable": Turntable, "show": Show, "export": Export},
+    {
+        "make": Make,
+        "generate": Generate,
+        "turntable": Turntable,
+        "show": ActorShow,
+        "export": ActorExport,
+    },
 )

@@ -117,7 +117,7 @@ class Info:
 
 
 @dataclass(frozen=True)
-class Synth:
+class LogSynth:
     """Make the log of a synthetic drive, whose ground truth is known from every viewpoint."""
 
     scene: str
@@ -173,5 +173,5 @@ class Synth:
 Log = shared.group(
     "log",
     "Import, make or inspect logs; recast-bridges exports them.",
-    {"import": Import, "info": Info, "synth": Synth},
+    {"import": Import, "info": Info, "synth": LogSynth},
 )

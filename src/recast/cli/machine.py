@@ -32,7 +32,7 @@ class Doctor:
 
 
 @dataclass(frozen=True)
-class List:
+class WeightsList:
     """List the published weights that recast can fetch: use, size, licence, commit."""
 
     json: Annotated[bool, JSON] = False
@@ -68,7 +68,7 @@ class Get:
 
 
 @dataclass(frozen=True)
-class Verify:
+class WeightsVerify:
     """Read every byte of fetched weights and compare it with the record of the download."""
 
     name: Annotated[tyro.conf.Positional[str | None], _NAME] = None
@@ -97,5 +97,5 @@ class Path:
 Weights = shared.group(
     "weights",
     "List, download and check published weights; recast downloads nothing else.",
-    {"list": List, "get": Get, "verify": Verify, "path": Path},
+    {"list": WeightsList, "get": Get, "verify": WeightsVerify, "path": Path},
 )

@@ -29,7 +29,7 @@ from recast.cli.log import Log
 from recast.cli.machine import Doctor, Weights
 from recast.cli.output import line_of
 from recast.cli.recar import Recar
-from recast.cli.run import Demo, Report, Run, View
+from recast.cli.run import Demo, Report, Run, ViewCommand
 from recast.cli.scenario import Scenario
 from recast.cli.scene import Scene
 from recast.cli.store import Store
@@ -65,7 +65,7 @@ COMMANDS: shared.Commands = shared.with_installed(
         "scenario": Scenario,
         "run": Run,
         "report": Report,
-        "view": View,
+        "view": ViewCommand,
         "store": Store,
         "weights": Weights,
         "doctor": Doctor,
@@ -307,11 +307,14 @@ def _refuse(program: str, words: Sequence[str], event: refused.ParseErrorEvent) 
     if isinstance(event, refused.BadValue):
         raise InputError("command line", name, "has no value", give)
     if isinstance(event, refused.InstantiationFailure):
-        values = re.search(r"instantiated from (\[.*\])", event.message)
-        if values is None:
+        if (values := re.search(r"instantiated from (\[.*\])", event.message)) is not None:
+            said = " ".join(ast.literal_eval(values[1]))
+            raise InputError("command line", name, f"is {said!r}", give)
+        # In the words of `int` and `float`, which tyro passes on.
+        given = re.search(r"(?:int\(\) with base 10|to float): ('.*')$", event.message.strip())
+        if given is None:
             raise InputError("command line", name, event.message, see)
-        given = " ".join(ast.literal_eval(values[1]))
-        raise InputError("command line", name, f"is {given!r}", give)
+        raise InputError("command line", name, f"is {given[1]}", give)
 
 
 _TYPES = {"INT": "an integer", "FLOAT": "a number"}

@@ -11,12 +11,12 @@ import tyro
 from recast.cli import shared
 from recast.cli.actor import MAX_VOXELS, SAMPLING_STEPS
 from recast.cli.output import JSON, console_for, print_json
-from recast.cli.recar_sets import Camera, Ingest, Pack, Perturb, Screen
-from recast.cli.recar_train import Train
+from recast.cli.recar_sets import Ingest, Pack, Perturb, RecarCamera, Screen
+from recast.cli.recar_train import RecarTrain
 
 
 @dataclass(frozen=True)
-class Targets:
+class RecarTargets:
     """Make a pseudo-target of every vehicle of a set from its front, rear, left and right view.
 
     The same command resumes; finished targets stay.
@@ -131,7 +131,7 @@ class Targets:
 
 
 @dataclass(frozen=True)
-class Synth:
+class RecarSynth:
     """Render a set of parametric vehicles from all sides, with labels and without background."""
 
     vehicles: int
@@ -243,14 +243,14 @@ Recar = shared.group(
     "recar",
     "Make vehicle sets, and adapt the image-to-3D model to vehicles.",
     {
-        "synth": Synth,
+        "synth": RecarSynth,
         "stats": Stats,
         "ingest": Ingest,
-        "camera": Camera,
+        "camera": RecarCamera,
         "pack": Pack,
-        "targets": Targets,
+        "targets": RecarTargets,
         "perturb": Perturb,
         "screen": Screen,
-        "train": Train,
+        "train": RecarTrain,
     },
 )

@@ -123,7 +123,7 @@ class Ingest:
 
 
 @dataclass(frozen=True)
-class Camera:
+class RecarCamera:
     """Measure the camera of a set from the outlines of its vehicles.
 
     The photographs must be those of a turntable: one fixed camera, regular azimuths.

@@ -12,7 +12,7 @@ from recast.cli import shared
 
 
 @dataclass(frozen=True)
-class Train:
+class RecarTrain:
     """Train the flows of an image-to-3D model towards pseudo-targets; the same command resumes.
 
     On several GPUs: torchrun --nproc-per-node 2 -m recast.cli.main recar train ...

@@ -159,7 +159,7 @@ class Report:
 
 
 @dataclass(frozen=True)
-class View:
+class ViewCommand:
     """Show logs, scenes, actors and rollouts in three dimensions, in a browser."""
 
     what: tyro.conf.Positional[tuple[Path, ...]]

@@ -13,7 +13,7 @@ from recast.cli.output import JSON, console_for, print_json
 
 
 @dataclass(frozen=True)
-class List:
+class ScenarioList:
     """Print scenarios with their numbers, or check scenario files."""
 
     scenarios: tyro.conf.Positional[tuple[str, ...]] = ()
@@ -31,7 +31,7 @@ class List:
 
 
 @dataclass(frozen=True)
-class Show:
+class ScenarioShow:
     """Draw scenarios on the map of a log: start of the ego, path of the actor, end of the
     rollout."""
 
@@ -59,5 +59,5 @@ class Show:
 Scenario = shared.group(
     "scenario",
     "List scenarios, draw them on a log before a run; recast-bridges exports and imports them.",
-    {"list": List, "show": Show},
+    {"list": ScenarioList, "show": ScenarioShow},
 )

@@ -14,7 +14,7 @@ from recast.cli.scene_import import GaussiansFile
 
 
 @dataclass(frozen=True)
-class Train:
+class SceneTrain:
     """Reconstruct the street of a log; the same command resumes from the last checkpoint."""
 
     log: tyro.conf.Positional[Path]
@@ -91,7 +91,7 @@ class Eval:
 
 
 @dataclass(frozen=True)
-class Export:
+class SceneExport:
     """Write a scene for other programs: Gaussians, sky image and poses."""
 
     scene: tyro.conf.Positional[Path]
@@ -129,5 +129,5 @@ Import = shared.group(
 Scene = shared.group(
     "scene",
     "Reconstruct, evaluate, import or export a street.",
-    {"train": Train, "eval": Eval, "import": Import, "export": Export},
+    {"train": SceneTrain, "eval": Eval, "import": Import, "export": SceneExport},
 )

@@ -12,7 +12,7 @@ from recast.cli.output import JSON, console_for, print_json
 
 
 @dataclass(frozen=True)
-class List:
+class StoreList:
     """List the artefacts of a store with their size, the time to make them, and their users."""
 
     store: tyro.conf.Positional[str]
@@ -63,5 +63,5 @@ class Prune:
 Store = shared.group(
     "store",
     "List, explain or remove the artefacts (scenes, actors, rollouts) that runs share.",
-    {"list": List, "why": Why, "prune": Prune},
+    {"list": StoreList, "why": Why, "prune": Prune},
 )

@@ -13,7 +13,7 @@ from recast.cli.output import JSON, console_for, print_json
 
 
 @dataclass(frozen=True)
-class Verify:
+class TrellisVerify:
     """Check names, shapes, types and sizes of the weights in a model folder."""
 
     folder: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="DIR")]
@@ -50,7 +50,7 @@ class Verify:
 
 
 @dataclass(frozen=True)
-class Export:
+class TrellisExport:
     """Write the weights that generation needs, in half precision, to a smaller model folder."""
 
     folder: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="DIR")]
@@ -73,5 +73,5 @@ class Export:
 Trellis = shared.group(
     "trellis",
     "Check or export model folders of the image-to-3D model.",
-    {"verify": Verify, "export": Export},
+    {"verify": TrellisVerify, "export": TrellisExport},
 )

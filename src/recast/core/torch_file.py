@@ -166,7 +166,7 @@ def read_header(path: Path, mend: str) -> dict[str, Tensor]:
     except (SafetensorError, RuntimeError) as error:
         size = path.stat().st_size
         reason = str(error).partition("\n")[0].removeprefix("Error while deserializing header: ")
-        problem = f"has {size} bytes: it is truncated or is not a safetensors file ({reason})"
+        problem = f"has {size} bytes: truncated or not a safetensors file ({reason})"
         raise InputError(path, "file", problem, mend) from None
     return tensors
 

@@ -31,7 +31,7 @@ _TRUTH = {"true": True, "false": False}
 
 
 @dataclass(frozen=True)
-class Node:
+class YamlNode:
     """A value and where it stands.
 
     Attributes:
@@ -70,7 +70,7 @@ class Node:
         return text if len(text) <= 40 else f"{text[:36]}...'"
 
 
-def nodes_of(value: Any, where: str, levels: int = MOST_LEVELS) -> Node:
+def nodes_of(value: Any, where: str, levels: int = MOST_LEVELS) -> YamlNode:
     """Nodes of plain data, as JSON has it, of at most some levels.
 
     Args:
@@ -83,13 +83,13 @@ def nodes_of(value: Any, where: str, levels: int = MOST_LEVELS) -> Node:
         raise InputError(where, "value", "is nested too deeply", _MEND)
     if isinstance(value, Mapping):
         members = {str(key): nodes_of(one, where, levels - 1) for key, one in value.items()}
-        return Node(members, where)
+        return YamlNode(members, where)
     if isinstance(value, list | tuple):
-        return Node([nodes_of(one, where, levels - 1) for one in value], where)
-    return Node(_number(value) if type(value) is int else value, where)
+        return YamlNode([nodes_of(one, where, levels - 1) for one in value], where)
+    return YamlNode(_number(value) if type(value) is int else value, where)
 
 
-def read_yaml_file(path: str | Path, most_bytes: int) -> Node:
+def read_yaml_file(path: str | Path, most_bytes: int) -> YamlNode:
     """The tree of a file of one YAML document, with or without a byte order mark.
 
     Raises:
@@ -98,7 +98,7 @@ def read_yaml_file(path: str | Path, most_bytes: int) -> Node:
     return read_yaml(files.read_bytes(path, most_bytes), str(path))
 
 
-def read_yaml(text: str | bytes, where: str) -> Node:
+def read_yaml(text: str | bytes, where: str) -> YamlNode:
     """The tree of one YAML document.
 
     Args:
@@ -164,7 +164,7 @@ class _Tree:
     def __init__(self, where: str) -> None:
         self._where, self._nodes = where, 0
 
-    def node(self, node: yaml.Node, line: int, above: tuple[yaml.Node, ...]) -> Node:
+    def node(self, node: yaml.Node, line: int, above: tuple[yaml.Node, ...]) -> YamlNode:
         """One node; `above` are those that it lies in."""
         where = f"{self._where}:{line}"
         if any(node is outer for outer in above):
@@ -178,13 +178,13 @@ class _Tree:
         if tag not in _PLAIN_TAGS:
             raise InputError(where, "YAML", f"has the tag {node.tag}", "remove the tag")
         if isinstance(node, yaml.MappingNode):
-            return Node(self._members(node, inner), where)
+            return YamlNode(self._members(node, inner), where)
         if isinstance(node, yaml.SequenceNode):
-            return Node([self.node(o, o.start_mark.line + 1, inner) for o in node.value], where)
-        return Node(node.value if node.style else _plain(node.value), where)
+            return YamlNode([self.node(o, o.start_mark.line + 1, inner) for o in node.value], where)
+        return YamlNode(node.value if node.style else _plain(node.value), where)
 
-    def _members(self, node: yaml.MappingNode, above: tuple[yaml.Node, ...]) -> dict[str, Node]:
-        members: dict[str, Node] = {}
+    def _members(self, node: yaml.MappingNode, above: tuple[yaml.Node, ...]) -> dict[str, YamlNode]:
+        members: dict[str, YamlNode] = {}
         for key_node, value_node in node.value:
             line = key_node.start_mark.line + 1
             where = f"{self._where}:{line}"

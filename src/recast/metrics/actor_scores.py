@@ -19,7 +19,7 @@ from recast.scene import SceneConfig, SceneRasterizer, StreetScene, ssim
 from recast.scene.dynamic import pose_at, visible_rectangle
 from recast.scene.evaluate import MIN_BOX_PX, draw_view
 from recast.scene.scores import Rectangle, capped_psnr, ssim_map
-from recast.scene.views import View, camera_names, is_held_out, read_view
+from recast.scene.views import TrainingView, camera_names, is_held_out, read_view
 from recast.splats import Gaussians, LowPass
 
 _MARGIN = 24  # pixels around the box: more than half an SSIM window, and to look at
@@ -81,7 +81,7 @@ class Window:
 
 
 @dataclass(frozen=True)
-class Cutout:
+class ScoredCutout:
     """A vehicle before black.
 
     Attributes:
@@ -101,29 +101,29 @@ class Cutout:
         """(H, W, 3) with that grey behind it."""
         return np.clip(self.rgb + (1 - self.alpha[..., None]) * grey, 0.0, 1.0)
 
-    def within(self, window: Window) -> Cutout:
+    def within(self, window: Window) -> ScoredCutout:
         """The part in a window; beyond the image there is nothing, as around the vehicle."""
-        return Cutout(window.of(self.rgb), window.of(self.alpha))
+        return ScoredCutout(window.of(self.rgb), window.of(self.alpha))
 
 
-def photographed(rgba: NDArray[np.uint8]) -> Cutout:
+def photographed(rgba: NDArray[np.uint8]) -> ScoredCutout:
     """A picture (H, W, 4) with straight alpha as a cutout."""
     alpha = rgba[..., 3].astype(np.float64) / 255
-    return Cutout(rgba[..., :3] / 255 * alpha[..., None], alpha)
+    return ScoredCutout(rgba[..., :3] / 255 * alpha[..., None], alpha)
 
 
-def drawn(gaussians: Gaussians, low_pass: LowPass, view: ActorView) -> Cutout:
+def drawn(gaussians: Gaussians, low_pass: LowPass, view: ActorView) -> ScoredCutout:
     """Gaussians in the actor frame as the camera of a view sees them, by their own filter."""
     with torch.no_grad():
         picture = draw(gaussians, view.camera_from_actor, view.camera, low_pass)
-    return Cutout(
+    return ScoredCutout(
         picture.rgb.clamp(0, 1).numpy().astype(np.float64),
         picture.alpha.clamp(0, 1).numpy().astype(np.float64),
     )
 
 
 def score_view(
-    shown: Cutout, truth: Cutout, distances: Sequence[ImageDistance] = ()
+    shown: ScoredCutout, truth: ScoredCutout, distances: Sequence[ImageDistance] = ()
 ) -> dict[str, float]:
     """Scores by key of `ACTOR_COLUMNS`.
 
@@ -222,7 +222,7 @@ def held_out_track(
 
 
 def _scored(
-    view: View, rectangle: Rectangle, images: Mapping[str, NDArray[np.float64]]
+    view: TrainingView, rectangle: Rectangle, images: Mapping[str, NDArray[np.float64]]
 ) -> TrackView:
     truth = view.image.astype(np.float64) / 255
     left, top, right, bottom = rectangle

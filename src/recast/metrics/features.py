@@ -14,7 +14,7 @@ from torch import Tensor
 
 from recast.arrays import Array
 from recast.geometry.colour import LUMINANCE
-from recast.metrics.actor_scores import Cutout
+from recast.metrics.actor_scores import ScoredCutout
 from recast.metrics.inception import load_inception
 from recast.pretrained import ClipImages, PretrainedFolder, model_type, whole_picture
 
@@ -135,7 +135,7 @@ class Embedder(Protocol):
 
     key: str
 
-    def features(self, cutout: Cutout) -> Array:
+    def features(self, cutout: ScoredCutout) -> Array:
         """(D,) of a square cutout, the vehicle whole in it."""
 
 
@@ -152,7 +152,7 @@ class ToyFeatures:
 
     key = "toy"
 
-    def features(self, cutout: Cutout) -> Array:
+    def features(self, cutout: ScoredCutout) -> Array:
         """(128,) of a square cutout."""
         image = np.dstack([cutout.rgb, cutout.alpha])
         way = cv2.INTER_AREA if len(image) > _SIDE else cv2.INTER_LINEAR
@@ -181,7 +181,7 @@ class NetworkFeatures:
         self.key = key
         self._embed = embed
 
-    def features(self, cutout: Cutout) -> Array:
+    def features(self, cutout: ScoredCutout) -> Array:
         """(D,) of a square cutout."""
         return self._embed(cutout.rgb)
 

@@ -169,6 +169,24 @@ class Planner(Protocol):
         """Plan the next 4 s from what is seen now."""
 
 
+_PLAIN = ("camera_names", "wanted_views", "device", "replays_log", "shared")
+_METHODS = ("record_fields", "choose_cameras", "finish_rollout", "needs_images")
+_ALIKE = 0.85
+"""Ratio of `difflib` from which two names are taken for a slip: "wanted_veiws" has 0.92."""
+
+
+def _warn_of_slips(kind: type) -> None:
+    known = (*_PLAIN, *_METHODS)
+    for name in vars(kind):
+        near = get_close_matches(name, known, 1, _ALIKE) if name not in known else []
+        if near and not name.startswith("_"):
+            warnings.warn(
+                f"{kind.__module__}.{kind.__qualname__} has {name}, which recast does not ask for; "
+                f"is it {near[0]}?",
+                stacklevel=3,
+            )
+
+
 class BasePlanner:
     """A `Planner` with all members that are asked for: derive yours from it to have the defaults.
 
@@ -266,10 +284,6 @@ class PlannerAround(BasePlanner):
         getattr(self.planner, "finish_rollout", super().finish_rollout)()
 
 
-_PLAIN = ("camera_names", "wanted_views", "device", "replays_log", "shared")
-_METHODS = ("record_fields", "choose_cameras", "finish_rollout", "needs_images")
-
-
 def whole_planner(planner: Planner) -> BasePlanner:
     """The planner if it has all members, else one around it, which has the defaults.
 
@@ -279,22 +293,6 @@ def whole_planner(planner: Planner) -> BasePlanner:
         return planner
     _warn_of_slips(type(planner))
     return PlannerAround(planner)
-
-
-def _warn_of_slips(kind: type) -> None:
-    known = (*_PLAIN, *_METHODS)
-    for name in vars(kind):
-        near = get_close_matches(name, known, 1, _ALIKE) if name not in known else []
-        if near and not name.startswith("_") and not hasattr(BasePlanner, name):
-            warnings.warn(
-                f"{kind.__module__}.{kind.__qualname__} has {name}, which recast does not ask for; "
-                f"is it {near[0]}?",
-                stacklevel=3,
-            )
-
-
-_ALIKE = 0.85
-"""Ratio of `difflib` from which two names are taken for a slip: "wanted_veiws" has 0.92."""
 
 
 def ego_status(command: DrivingCommand, state: ArrayLike) -> NDArray[np.float32]:

@@ -14,7 +14,7 @@ from recast.actors.coverage import Coverage
 from recast.actors.drawing import coloured_by_shares
 from recast.arrays import Image
 from recast.reporting import palette
-from recast.reporting.canvas import Canvas, View, wrapped
+from recast.reporting.canvas import Canvas, CanvasView, wrapped
 from recast.splats.sh import C0
 
 _Line = list[tuple[int, str, palette.Colour]]
@@ -222,6 +222,6 @@ def _labelled(picture: Image, label: str) -> Image:
     return canvas.image
 
 
-def _pixels(width: int, height: int) -> View:
+def _pixels(width: int, height: int) -> CanvasView:
     """A view that is only drawn on in pixels."""
-    return View(np.zeros(2), 0.0, 1.0, width, height)
+    return CanvasView(np.zeros(2), 0.0, 1.0, width, height)

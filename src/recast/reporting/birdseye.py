@@ -11,7 +11,7 @@ from recast.arrays import Array, Image
 from recast.geometry import boxes
 from recast.logs.hdmap import HdMap
 from recast.reporting import marks, palette
-from recast.reporting.canvas import Canvas, View
+from recast.reporting.canvas import Canvas, CanvasView
 from recast.reporting.marks import MapLayer, draw_scale_bar, fitted_view
 from recast.reporting.plots import planned_paths, series
 from recast.simulation.rollout import Rollout
@@ -69,7 +69,7 @@ class Birdseye:
         rollout, heading = self.rollout, self._heading
         ahead = (0.5 - _EGO_AT) * style.span * np.array([np.cos(heading), np.sin(heading)])
         canvas = Canvas(
-            View(
+            CanvasView(
                 centre=rollout.ego[step, :2] + ahead,
                 heading=heading,
                 scale=style.film_width / style.span,
@@ -175,7 +175,7 @@ def _main_direction(rollout: Rollout) -> float:
     return float(np.arctan2(along[1], along[0]))
 
 
-def _whole_view(rollout: Rollout, style: BirdseyeStyle) -> View:
+def _whole_view(rollout: Rollout, style: BirdseyeStyle) -> CanvasView:
     heading = _main_direction(rollout)
     drawn = np.concatenate(
         [

@@ -22,7 +22,7 @@ _FAR = 1e5  # pixels; keeps far-away points within cv2's fixed-point range
 
 
 @dataclass(frozen=True)
-class View:
+class CanvasView:
     """Where an orthographic picture of width x height pixels looks.
 
     Attributes:
@@ -67,7 +67,7 @@ class Canvas:
         image: (height, width, 3) uint8, drawn in place.
     """
 
-    def __init__(self, view: View, ground: Colour = GROUND) -> None:
+    def __init__(self, view: CanvasView, ground: Colour = GROUND) -> None:
         self.view = view
         # Filled row by row: numpy is slow to repeat three values, and films have many pictures.
         rows = np.empty((view.height, 3 * view.width), np.uint8)

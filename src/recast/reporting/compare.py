@@ -16,9 +16,9 @@ from recast.reporting.inputs import NOT_MADE, NotMade, ReportInputs, RolloutPart
 from recast.reporting.marks import MapLayer
 from recast.reporting.moment_strip import Strip, moment_strip
 from recast.reporting.moments import PATHS_APART, paths_part
-from recast.reporting.page import Assets, render_template, write_page
-from recast.reporting.summary import Outcome, outcome
-from recast.reporting.tables import Cell, Line, aggregate_line, difference_line, digits
+from recast.reporting.page import PageAssets, render_template, write_page
+from recast.reporting.summary import RolloutOutcome, outcome
+from recast.reporting.tables import Line, TableCell, aggregate_line, difference_line, digits
 from recast.simulation.rollout import Rollout, RolloutFailure
 
 ScenarioKey = tuple[str, str, str]
@@ -81,7 +81,7 @@ def write_comparison(runs: Sequence[ComparedRun], out: str | Path) -> Path:
     return write_page(out, lambda assets: _render(runs, assets))
 
 
-def _render(runs: Sequence[ComparedRun], assets: Assets) -> str:
+def _render(runs: Sequence[ComparedRun], assets: PageAssets) -> str:
     titles = list({arm: title for run in reversed(runs) for arm, title in run.arms.items()}.items())
     order = list(dict.fromkeys(arm for run in runs for arm in run.arms))
     arms = {arm: dict(titles)[arm] for arm in order}
@@ -130,7 +130,7 @@ def _warnings(runs: Sequence[ComparedRun]) -> tuple[str, ...]:
 
 
 def _strip(
-    run: ComparedRun, arms: dict[str, str], name: str, part: ScenarioPart, assets: Assets
+    run: ComparedRun, arms: dict[str, str], name: str, part: ScenarioPart, assets: PageAssets
 ) -> Strip:
     inputs = ReportInputs(run.name, run.log, arms, camera_headings=run.camera_headings)
     layer = MapLayer(run.hd_map if isinstance(run.hd_map, HdMap) else None)
@@ -146,7 +146,7 @@ def _strip(
 class ComparedOutcome:
     """How one rollout ended, and where its path leaves that of the first run; None if unknown."""
 
-    outcome: Outcome
+    outcome: RolloutOutcome
     path: str | None
 
 
@@ -246,10 +246,10 @@ def _unpaired(first: TableRow, other: TableRow, title: str) -> Line:
     for key, column in COLUMNS.items():
         one, two = other.means[key], first.means[key]
         if one is None or two is None:
-            cells.append(Cell("-"))
+            cells.append(TableCell("-"))
             continue
         unit = "points" if column.unit == "%" else column.unit
-        cells.append(Cell(f"{one - two:+.{digits(key)}f}\u00a0{unit}"))
+        cells.append(TableCell(f"{one - two:+.{digits(key)}f}\u00a0{unit}"))
     return Line(title, None, tuple(cells), "difference of the means: no scenario in common")
 
 
@@ -261,7 +261,7 @@ def _part(run: ComparedRun, key: ScenarioKey, arm: str) -> RolloutPart | None:
 
 def _compared(part: RolloutPart | None, first: RolloutPart | None, number: int) -> ComparedOutcome:
     if part is None:
-        return ComparedOutcome(Outcome("not requested", "plain"), None)
+        return ComparedOutcome(RolloutOutcome("not requested", "plain"), None)
     if number == 0 or first is None:
         return ComparedOutcome(outcome(part), None)
     return ComparedOutcome(outcome(part), _path(first.rollout, part.rollout))

@@ -11,7 +11,7 @@ from recast.arrays import Array
 from recast.geometry import boxes
 from recast.logs.hdmap import HdMap
 from recast.reporting import palette
-from recast.reporting.canvas import Canvas, View, dashed
+from recast.reporting.canvas import Canvas, CanvasView, dashed
 from recast.reporting.plots import Series
 from recast.simulation.rollout import Rollout
 
@@ -80,7 +80,7 @@ class _Shapes:
         return [self.chains[i] for i in np.flatnonzero(meets)]
 
 
-def fitted_view(points: Array, heading: float, width: int, max_height: int) -> View:
+def fitted_view(points: Array, heading: float, width: int, max_height: int) -> CanvasView:
     """The view that holds points (N, 2) with a margin, at 14 pixels a metre at most.
 
     Args:
@@ -88,13 +88,13 @@ def fitted_view(points: Array, heading: float, width: int, max_height: int) -> V
         width: width of the picture, pixels; its height is at least a fifth of that, and at most
             `max_height`.
     """
-    turned = View(np.zeros(2), heading, 1.0, 0, 0).pixels(points)
+    turned = CanvasView(np.zeros(2), heading, 1.0, 0, 0).pixels(points)
     low, high = turned.min(axis=0) - _MARGIN, turned.max(axis=0) + _MARGIN
     span = high - low
     scale = min(width / span[0], max_height / span[1], _MAX_SCALE)
     height = int(np.clip(span[1] * scale, width / 5, max_height))
-    centre = View(np.zeros(2), heading, 1.0, 0, 0).world((low + high) / 2)
-    return View(centre, heading, scale, width, height - height % 2)
+    centre = CanvasView(np.zeros(2), heading, 1.0, 0, 0).world((low + high) / 2)
+    return CanvasView(centre, heading, scale, width, height - height % 2)
 
 
 def draw_car(

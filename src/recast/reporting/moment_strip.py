@@ -14,7 +14,7 @@ from recast.reporting.birdseye import Birdseye, BirdseyeStyle
 from recast.reporting.canvas import at_width
 from recast.reporting.inputs import NotMade, ReportInputs, RolloutPart
 from recast.reporting.moments import Moment, find_moments
-from recast.reporting.page import Assets, Media
+from recast.reporting.page import Media, PageAssets
 from recast.reporting.tables import Tone
 from recast.reporting.video import film_frames
 from recast.simulation.rollout import Rollout
@@ -91,7 +91,7 @@ def moment_strip(
     name: str,
     parts: Sequence[RolloutPart],
     drawn: Mapping[str, Birdseye],
-    assets: Assets,
+    assets: PageAssets,
 ) -> Strip:
     """Find the moments of a scenario and write their pictures.
 

@@ -40,7 +40,7 @@ class Media:
     height: int
 
 
-class Assets:
+class PageAssets:
     """Collects the files of one report folder.
 
     A picture or film that is missing or broken becomes a `NotMade` that says so: a report of an
@@ -51,9 +51,9 @@ class Assets:
         self.folder, self._scope = folder, scope
         self._taken: set[str] = set()
 
-    def scoped(self, name: str) -> Assets:
+    def scoped(self, name: str) -> PageAssets:
         """Assets of a part of the page, whose files cannot have the names of another part's."""
-        return Assets(self.folder, self._free("scopes", name) + "--")  # no slug has two hyphens
+        return PageAssets(self.folder, self._free("scopes", name) + "--")  # no slug has two hyphens
 
     def picture(self, name: str, picture: Picture | NotMade) -> Media | NotMade:
         """Copy a PNG or JPEG, or encode an array as PNG."""
@@ -177,7 +177,7 @@ def _write(path: Path, picture: NDArray[np.uint8], **options: object) -> None:
     files.write_bytes(path, encoded.getvalue())
 
 
-def write_page(out: str | Path, render: Callable[[Assets], str]) -> Path:
+def write_page(out: str | Path, render: Callable[[PageAssets], str]) -> Path:
     """Write a folder with a page and its files; return its `index.html`.
 
     The folder appears whole; an earlier one at `out` is replaced. `render` makes the page, and the
@@ -193,7 +193,7 @@ def write_page(out: str | Path, render: Callable[[Assets], str]) -> Path:
         if fresh.exists():  # left behind by a kill
             shutil.rmtree(fresh)
     with atomic_folder(fresh) as folder:
-        write_text(folder / "index.html", render(Assets(folder)))
+        write_text(folder / "index.html", render(PageAssets(folder)))
     with disk_errors(out):
         if out.exists():
             shutil.rmtree(out)

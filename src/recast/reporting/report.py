@@ -36,19 +36,19 @@ from recast.reporting.inputs import (
 )
 from recast.reporting.marks import MapLayer
 from recast.reporting.moment_strip import Strip, camera_towards, filmed_cameras, moment_strip
-from recast.reporting.page import Assets, Media, render_template, write_page
+from recast.reporting.page import Media, PageAssets, render_template, write_page
 from recast.reporting.truth import truth_view
 from recast.simulation.rollout import Rollout
 
 
 @dataclass(frozen=True)
-class Drawn:
+class DrawnRollout:
     """What there is to see of a rollout that came about."""
 
     films: Mapping[str, Media | NotMade] | NotMade
     birdseye: Media | NotMade
     still: Media | NotMade
-    events: tuple[summary.Event, ...]
+    events: tuple[summary.RolloutEvent, ...]
 
 
 @dataclass(frozen=True)
@@ -57,7 +57,7 @@ class MethodColumn:
 
     title: str
     arm: int
-    drawn: Drawn | NotMade
+    drawn: DrawnRollout | NotMade
 
 
 @dataclass(frozen=True)
@@ -95,7 +95,7 @@ def scenario_view(
     pool: Executor,
     part: ScenarioPart,
     anchor: str,
-    assets: Assets,
+    assets: PageAssets,
 ) -> ScenarioView:
     """Write a scenario's films and pictures and gather what the page says about it.
 
@@ -173,18 +173,18 @@ def _coverage_plot(run: ReportInputs, part: RolloutPart, end: float) -> plots.Pl
 
 @dataclass(frozen=True)
 class _Drawing:
-    """A `Drawn` whose film is being encoded."""
+    """A `DrawnRollout` whose film is being encoded."""
 
     films: Mapping[str, Media | NotMade] | NotMade
     birdseye: Future[Media]
     still: Media | NotMade
-    events: tuple[summary.Event, ...]
+    events: tuple[summary.RolloutEvent, ...]
 
-    def drawn(self) -> Drawn:
-        return Drawn(self.films, self.birdseye.result(), self.still, self.events)
+    def drawn(self) -> DrawnRollout:
+        return DrawnRollout(self.films, self.birdseye.result(), self.still, self.events)
 
 
-def _draw(part: RolloutPart, drawn: Birdseye, assets: Assets, pool: Executor) -> _Drawing:
+def _draw(part: RolloutPart, drawn: Birdseye, assets: PageAssets, pool: Executor) -> _Drawing:
     films, style, rollout = part.films, BirdseyeStyle(), drawn.rollout
     frames = (drawn.frame(step, style) for step in range(rollout.steps_run + 1))
     return _Drawing(
@@ -212,7 +212,7 @@ def _joined(
     run: ReportInputs,
     filmed: Mapping[str, Mapping[str, Media | NotMade] | NotMade],
     cameras: tuple[str, ...],
-    assets: Assets,
+    assets: PageAssets,
     pool: Executor,
 ) -> tuple[str, Future[Media | NotMade]] | None:
     """A film to pass on outside of the page: all arms beside each other, looking ahead.
@@ -245,7 +245,7 @@ def write_report(run: ReportInputs, out: str | Path) -> Path:
     return write_page(out, lambda assets: _render(run, assets))
 
 
-def _render(run: ReportInputs, assets: Assets) -> str:
+def _render(run: ReportInputs, assets: PageAssets) -> str:
     scenarios: tuple[ScenarioView, ...] | NotMade
     if isinstance(run.scenarios, NotMade):
         scenarios = run.scenarios
@@ -282,7 +282,7 @@ def _render(run: ReportInputs, assets: Assets) -> str:
     )
 
 
-def _showcase(showcase: ShowcasePart | NotMade, assets: Assets) -> dict[str, Any] | NotMade:
+def _showcase(showcase: ShowcasePart | NotMade, assets: PageAssets) -> dict[str, Any] | NotMade:
     if isinstance(showcase, NotMade):
         return showcase
     pictures = [
@@ -292,7 +292,7 @@ def _showcase(showcase: ShowcasePart | NotMade, assets: Assets) -> dict[str, Any
     return {"part": showcase, "pictures": pictures}
 
 
-def _actor(actor: ActorPart | NotMade, assets: Assets) -> dict[str, Any] | NotMade:
+def _actor(actor: ActorPart | NotMade, assets: PageAssets) -> dict[str, Any] | NotMade:
     if isinstance(actor, NotMade):
         return actor
     seen = actor.observation
@@ -309,7 +309,7 @@ def _actor(actor: ActorPart | NotMade, assets: Assets) -> dict[str, Any] | NotMa
     }
 
 
-def _scene(scene: ScenePart | NotMade, assets: Assets) -> dict[str, Any] | NotMade:
+def _scene(scene: ScenePart | NotMade, assets: PageAssets) -> dict[str, Any] | NotMade:
     if isinstance(scene, NotMade):
         return scene
     comparisons = [

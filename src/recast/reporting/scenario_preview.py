@@ -14,7 +14,7 @@ from recast.dynamics import state as ego
 from recast.geometry import boxes
 from recast.metrics.collision import TOUCHING
 from recast.reporting import palette
-from recast.reporting.canvas import Canvas, View, dashed
+from recast.reporting.canvas import Canvas, CanvasView, dashed
 from recast.reporting.marks import MapLayer, draw_car, draw_scale_bar, fitted_view
 from recast.reporting.plots import first_true
 from recast.simulation import PreparedRollout, RolloutSetup, ego_centre
@@ -186,7 +186,7 @@ def _panel(setup: RolloutSetup, prepared: PreparedRollout, facts: ScenarioFacts)
 
 
 def _header(setup: RolloutSetup, prepared: PreparedRollout, facts: ScenarioFacts) -> Image:
-    canvas = Canvas(View(np.zeros(2), 0.0, 1.0, _WIDTH, _HEADER), palette.GRID)
+    canvas = Canvas(CanvasView(np.zeros(2), 0.0, 1.0, _WIDTH, _HEADER), palette.GRID)
     length, width = setup.track.size[:2]
     described = getattr(setup.motion, "description", "")
     canvas.text(

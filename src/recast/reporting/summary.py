@@ -16,7 +16,7 @@ from recast.simulation.rollout import Rollout, RolloutFailure
 
 
 @dataclass(frozen=True)
-class Event:
+class RolloutEvent:
     """Something that happened in a rollout, `time` seconds after its start, and its tone."""
 
     time: float
@@ -25,7 +25,7 @@ class Event:
 
 
 @dataclass(frozen=True)
-class Outcome:
+class RolloutOutcome:
     """How one rollout ended, in a few words; `trust` in its verdict is None if it is not known."""
 
     text: str
@@ -33,7 +33,7 @@ class Outcome:
     trust: float | None = None
 
 
-def rollout_events(part: RolloutPart, curves: Series) -> tuple[Event, ...]:
+def rollout_events(part: RolloutPart, curves: Series) -> tuple[RolloutEvent, ...]:
     """Contacts, leaving the road, the worst plan, discomfort and the cut, in order of time."""
     rollout = part.rollout
     assert isinstance(rollout, Rollout)
@@ -41,7 +41,7 @@ def rollout_events(part: RolloutPart, curves: Series) -> tuple[Event, ...]:
     hit = curves.collision_step
     if hit is not None:
         events.append(
-            Event(
+            RolloutEvent(
                 float(curves.time[hit]),
                 f"contact at a relative speed of {_closing_speed(rollout, hit):.1f} m/s",
                 "bad",
@@ -50,30 +50,32 @@ def rollout_events(part: RolloutPart, curves: Series) -> tuple[Event, ...]:
     else:
         nearest = int(np.argmin(curves.gap))
         text = f"smallest gap, {curves.gap[nearest]:.1f} m"
-        events.append(Event(float(curves.time[nearest]), text, "plain"))
+        events.append(RolloutEvent(float(curves.time[nearest]), text, "plain"))
     if not isinstance(part.metrics, NotMade):
         metrics = part.metrics
         off = metrics.drivable.first_step
         if off is not None:
             events.append(
-                Event(off * rollout.dt, f"off the road: {metrics.drivable.dac.reason}", "bad")
+                RolloutEvent(
+                    off * rollout.dt, f"off the road: {metrics.drivable.dac.reason}", "bad"
+                )
             )
         if metrics.ttc.ttc.value is not None and metrics.ttc.ttc.reason is not None:
             worst = int(np.argmin(metrics.ttc.per_cycle))
             text = f"worst plan: meets the actor after {metrics.ttc.ttc.value:.1f} s"
-            events.append(Event(float(curves.plan_time[worst]), text, "warn"))
+            events.append(RolloutEvent(float(curves.plan_time[worst]), text, "warn"))
         bad = np.flatnonzero(~metrics.comfort.passed.all(axis=1))
         if len(bad):
             text = f"first uncomfortable plan ({metrics.comfort.com.reason})"
-            events.append(Event(float(curves.plan_time[bad[0]]), text, "warn"))
+            events.append(RolloutEvent(float(curves.plan_time[bad[0]]), text, "warn"))
     if rollout.cut_reason is not None:
         asked = rollout.steps_requested * rollout.dt
         text = f"cut before {asked:.1f} s: {rollout.cut_reason}"
-        events.append(Event(float(curves.time[-1]), text, "warn"))
+        events.append(RolloutEvent(float(curves.time[-1]), text, "warn"))
     return tuple(sorted(events, key=lambda event: event.time))
 
 
-def outcomes(run: ReportInputs) -> tuple[tuple[str, tuple[Outcome, ...]], ...]:
+def outcomes(run: ReportInputs) -> tuple[tuple[str, tuple[RolloutOutcome, ...]], ...]:
     """By scenario, its title and how it ended under each arm, in the order of the arms."""
     if isinstance(run.scenarios, NotMade):
         return ()
@@ -81,7 +83,7 @@ def outcomes(run: ReportInputs) -> tuple[tuple[str, tuple[Outcome, ...]], ...]:
     for scenario in run.scenarios:
         parts = {part.arm: part for part in scenario.rollouts}
         cells = [
-            outcome(parts[arm]) if arm in parts else Outcome("not driven", "warn")
+            outcome(parts[arm]) if arm in parts else RolloutOutcome("not driven", "warn")
             for arm in run.arms
         ]
         if run.truth_arm is not None:  # it is not judged: the others are judged by it
@@ -125,10 +127,10 @@ def headline(run: ReportInputs) -> tuple[str, ...]:
     return tuple(lines)
 
 
-def outcome(part: RolloutPart) -> Outcome:
+def outcome(part: RolloutPart) -> RolloutOutcome:
     """How a rollout ended: contact, off the road, cut; or why there is none."""
     if not isinstance(part.rollout, Rollout):
-        return Outcome(why_missing(part.rollout), "bad")
+        return RolloutOutcome(why_missing(part.rollout), "bad")
     curves = series(part.rollout)
     words: list[str] = []
     hit = curves.collision_step
@@ -141,7 +143,7 @@ def outcome(part: RolloutPart) -> Outcome:
         words.insert(0, f"no contact, smallest gap {curves.gap.min():.1f} m")
     if part.rollout.cut_reason is not None:
         words.append(f"cut at {curves.time[-1]:.1f} s")
-    return Outcome("; ".join(words), tone, None if part.trust is None else part.trust.value)
+    return RolloutOutcome("; ".join(words), tone, None if part.trust is None else part.trust.value)
 
 
 def _contacts(scenarios: Sequence[ScenarioPart], arm: str) -> str:

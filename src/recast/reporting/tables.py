@@ -37,7 +37,7 @@ MOVING = "moving objects: boxes, length and width x 1.5"
 
 
 @dataclass(frozen=True)
-class Cell:
+class TableCell:
     """One cell: the number with its unit, how it is to be taken, and what explains it.
 
     `size` is the magnitude of a difference, None for all else.
@@ -64,7 +64,7 @@ class Line:
 
     label: str
     arm: int | None
-    cells: tuple[Cell, ...]
+    cells: tuple[TableCell, ...]
     sub: str | None = None
 
 
@@ -89,7 +89,7 @@ def untoned(line: Line) -> Line:
 
 def missing_line(label: str, arm: int | None, reason: str) -> Line:
     """A rollout without metrics."""
-    cells = tuple(Cell("-") for _ in COLUMNS)
+    cells = tuple(TableCell("-") for _ in COLUMNS)
     return Line(label, arm, cells, reason)
 
 
@@ -140,16 +140,16 @@ def _nearest_marked(gaps: Sequence[Line]) -> list[Line]:
     ]
 
 
-def _rollout_cell(key: str, metric: Metric) -> Cell:
+def _rollout_cell(key: str, metric: Metric) -> TableCell:
     if metric.value is None:
-        return Cell("-", "plain", metric.reason)
+        return TableCell("-", "plain", metric.reason)
     tone: Tone = "plain"
     if COLUMNS[key].passes:
         passed = metric.value == 1.0
-        return Cell("pass" if passed else "fail", "good" if passed else "bad", metric.reason)
+        return TableCell("pass" if passed else "fail", "good" if passed else "bad", metric.reason)
     if key.startswith("ttc"):
         tone = "bad" if metric.value == 0.0 else "warn" if metric.value < _SHORT_TTC else "plain"
-    return Cell(_number(key, COLUMNS[key].scale * metric.value), tone, metric.reason)
+    return TableCell(_number(key, COLUMNS[key].scale * metric.value), tone, metric.reason)
 
 
 def aggregate_line(row: TableRow, arms: Mapping[str, str], order: Mapping[str, int]) -> Line:
@@ -158,13 +158,15 @@ def aggregate_line(row: TableRow, arms: Mapping[str, str], order: Mapping[str, i
     for key in COLUMNS:
         mean, count = row.means[key], row.counts[key]
         if mean is None:
-            cells.append(Cell("-"))
+            cells.append(TableCell("-"))
         elif COLUMNS[key].passes:
-            cells.append(Cell(f"{round(mean * count / 100)} of {count}", "plain", f"{mean:.0f} %"))
+            cells.append(
+                TableCell(f"{round(mean * count / 100)} of {count}", "plain", f"{mean:.0f} %")
+            )
         elif count < row.rollouts:
-            cells.append(Cell(_number(key, mean), note=f"over {count} of {row.rollouts}"))
+            cells.append(TableCell(_number(key, mean), note=f"over {count} of {row.rollouts}"))
         else:
-            cells.append(Cell(_number(key, mean)))
+            cells.append(TableCell(_number(key, mean)))
     sub = f"{row.planner}; {row.rollouts} of {_counted(row.asked, 'rollout')} scored"
     sub += f", {_counted(row.plans, 'plan')}"
     sub += f", {row.cut} cut short" if row.cut else ""
@@ -187,13 +189,13 @@ def difference_line(
     for key, column in COLUMNS.items():
         found = pairs.of(key)
         if found.pairs == 0:
-            cells.append(Cell("-"))
+            cells.append(TableCell("-"))
             continue
         unit = "points" if column.unit == "%" else column.unit
         difference = column.scale * float(found.differences[""].mean())
         text = f"{difference:+.{digits(key)}f}\u00a0{unit}"
         note = f"over {found.pairs} of {_counted(most, 'pair')}" if found.pairs < most else None
-        cells.append(Cell(text, note=note, size=abs(round(difference, digits(key)))))
+        cells.append(TableCell(text, note=note, size=abs(round(difference, digits(key)))))
     compared = pairs.by_scene[""]
     sub = f"mean over {len(compared)} of {_counted(pairs.asked, 'pair')}"
     sub += f", {_counted(sum(pair.plans for pair in compared), 'plan')} each"

@@ -13,8 +13,8 @@ from recast.reporting import palette
 from recast.reporting.actor_sheet import SIDES
 from recast.reporting.figure import Figure, Plot
 from recast.reporting.inputs import NotMade, ShowcasePart, TruthPart
-from recast.reporting.page import Assets, Media
-from recast.reporting.tables import Cell, Tone
+from recast.reporting.page import Media, PageAssets
+from recast.reporting.tables import TableCell, Tone
 
 _LIMIT = 60.0  # degrees beyond which a view is one that the log never had
 _BINS = ((0, 30), (30, 60), (60, 90), (90, 120), (120, 150), (150, 180.1))
@@ -70,7 +70,7 @@ class TruthLine:
 
     label: str
     views: int
-    cells: tuple[Cell, ...]
+    cells: tuple[TableCell, ...]
     total: bool
 
 
@@ -119,7 +119,7 @@ def truth_parts(
     return _showcase(folder, views, names), TruthPart(views, names, colours, pictures)
 
 
-def truth_view(part: TruthPart, assets: Assets) -> TruthView:
+def truth_view(part: TruthPart, assets: PageAssets) -> TruthView:
     """Copy the pictures and gather what the page says."""
     furthest_first = sorted(part.views.views, key=lambda view: (-view.angle, view.index))
     return TruthView(
@@ -181,7 +181,7 @@ def _better(view: OracleView, names: Mapping[str, str]) -> str | None:
 
 
 def _line(angle_bin: AngleBin) -> TruthLine:
-    cells: list[Cell] = []
+    cells: list[TableCell] = []
     assert angle_bin.baseline is not None and angle_bin.candidate is not None
     for measure, (_, digits, unit) in _MEASURES.items():
         baseline = getattr(angle_bin.baseline, measure)
@@ -191,7 +191,7 @@ def _line(angle_bin: AngleBin) -> TruthLine:
         note += f", better in {better} of {angle_bin.views}"
         for value, other, remark in ((baseline, candidate, None), (candidate, baseline, note)):
             tone: Tone = "good" if value > other else "plain"
-            cells.append(Cell(f"{value:.{digits}f}{unit}", tone, remark))
+            cells.append(TableCell(f"{value:.{digits}f}{unit}", tone, remark))
     low, high = angle_bin.low, angle_bin.high
     total = (low, high) in ((60.0, 180.0), (0.0, 180.0))
     return TruthLine(angle_label(low, high), angle_bin.views, tuple(cells), total)

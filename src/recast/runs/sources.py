@@ -37,8 +37,8 @@ RECIPES = {
     "truth": 4,
     "rollout": 6,
     "scene-level": 3,
-    "metrics": 6,
-    "report": 6,
+    "metrics": 7,
+    "report": 7,
 }
 """Version of what recast's own code makes of the inputs of a step.
 

@@ -9,11 +9,11 @@ from recast.logs import DrivingLog
 from recast.metrics import RolloutMetrics
 from recast.metrics.trust import (
     SIGHTLESS,
-    Calibration,
     GivenCamera,
     HeldOutFrame,
     RecordedViews,
     RolloutTrust,
+    TrustCalibration,
     TrustFeatures,
     judge,
     packaged_calibration,
@@ -36,7 +36,9 @@ class RunTrust:
         calibration: calibration to judge by; that of the package if None.
     """
 
-    def __init__(self, log: DrivingLog, track: str, calibration: Calibration | None = None) -> None:
+    def __init__(
+        self, log: DrivingLog, track: str, calibration: TrustCalibration | None = None
+    ) -> None:
         self._log, self._track, self._calibration = log, track, calibration
 
     @cached_property

@@ -24,8 +24,8 @@ from recast.scene.store import SCENE_FILE
 from recast.scene.street_scene import SceneActor
 from recast.simulation import RolloutFailure
 from recast.viewer import (
-    Drive,
     Page,
+    ViewedDrive,
     ViewInputs,
     recording,
     require_viser,
@@ -108,7 +108,7 @@ def _parts(kinds: dict[str, list[Path]]) -> ViewInputs:
         actors[name] = {actor.track_id: actor}
     title = ", ".join(path.name for paths in kinds.values() for path in paths)
     drives = _drives(log, scenes)
-    scenarios: dict[str, dict[str, Drive]] = {_RECORDED: drives} if drives else {}
+    scenarios: dict[str, dict[str, ViewedDrive]] = {_RECORDED: drives} if drives else {}
     if "rollout" in kinds:
         if log is None:
             raise InputError(
@@ -125,12 +125,14 @@ def _parts(kinds: dict[str, list[Path]]) -> ViewInputs:
     return ViewInputs(title, scenes, scenarios, log, hdmap, actors, runner)
 
 
-def _drives(log: DrivingLog | None, scenes: dict[str, StreetScene | None]) -> dict[str, Drive]:
+def _drives(
+    log: DrivingLog | None, scenes: dict[str, StreetScene | None]
+) -> dict[str, ViewedDrive]:
     """How things moved when it was recorded, in each scene."""
     recorded = None if log is None else recording(log)
     if not scenes and recorded is not None:
         scenes["log"] = None
-    found: dict[str, Drive] = {}
+    found: dict[str, ViewedDrive] = {}
     for name, scene in scenes.items():
         if recorded is not None:
             found[name] = recorded
@@ -146,9 +148,9 @@ def _rollouts(
     log: DrivingLog,
     hdmap: HdMap | None,
     scenes: dict[str, StreetScene | None],
-) -> dict[str, dict[str, Drive]]:
+) -> dict[str, dict[str, ViewedDrive]]:
     """Drives of rollouts by motion and arm; an arm gets the scene of its name, or the first."""
-    drives: dict[str, dict[str, Drive]] = {}
+    drives: dict[str, dict[str, ViewedDrive]] = {}
     first = next((scene for scene in scenes.values() if scene is not None), None)
     for path in paths:
         rollout = read_rollout(path)

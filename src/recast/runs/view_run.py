@@ -41,7 +41,7 @@ from recast.simulation import (
     run_rollout,
 )
 from recast.simulation.scene_renderer import SceneRenderer, through_lenses
-from recast.viewer import Drive, FilmFile, FilmFrames, Runner, ViewInputs, rollout_drive
+from recast.viewer import FilmFile, FilmFrames, Runner, ViewedDrive, ViewInputs, rollout_drive
 
 _PLANNERS = ("idm-follower", "constant-velocity", "log-replay")
 _STEPS = 80
@@ -68,7 +68,7 @@ def named_place(path: Path) -> Path:
     return Path(os.path.normpath(path.absolute()))
 
 
-def drive_of(rollout: Rollout, folder: Path, log: DrivingLog, hdmap: HdMap | None) -> Drive:
+def drive_of(rollout: Rollout, folder: Path, log: DrivingLog, hdmap: HdMap | None) -> ViewedDrive:
     """A rollout with the films beside it, in the folder that `make_rollout` wrote."""
     found = {name: FilmFile(path, rollout.steps_run) for name, path in films(folder).items()}
     mounts = camera_mounts(log, [name for name in found if name in log.cameras])
@@ -90,7 +90,7 @@ class _Opened:
 
     def inputs(self) -> ViewInputs:
         config = self.config
-        scenarios: dict[str, dict[str, Drive]] = {}
+        scenarios: dict[str, dict[str, ViewedDrive]] = {}
         arms: dict[str, Arm] = {}
         for motion, planner, arm in product(config.motions, config.planners, config.arms):
             drive = self._drive(motion, planner, arm.name)
@@ -119,7 +119,7 @@ class _Opened:
             runner=run_runner(self.log, self.map, config, scenes),
         )
 
-    def _drive(self, motion: str, planner: str, arm: str) -> Drive | None:
+    def _drive(self, motion: str, planner: str, arm: str) -> ViewedDrive | None:
         link = named_place(self.path).joinpath(
             "rollouts", *(folder_name(name) for name in (motion, planner, arm))
         )
@@ -231,7 +231,7 @@ def _runner(
     scenes: Mapping[str, StreetScene | None],
     own: Mapping[str, ScriptedMotion],
 ) -> Runner:
-    def run(motion: ScriptedMotion, word: str, arm: str, on_step: Progress) -> Drive:
+    def run(motion: ScriptedMotion, word: str, arm: str, on_step: Progress) -> ViewedDrive:
         setup = rollout_setup(log, hdmap, config, motion, arm)
         return _run(setup, config, scenes.get(arm), word, on_step)
 
@@ -254,7 +254,7 @@ class _Counted(PlannerAround):
 
 def _run(
     setup: RolloutSetup, config: RunConfig, scene: StreetScene | None, word: str, on_step: Progress
-) -> Drive:
+) -> ViewedDrive:
     """Run one rollout, and film its first camera.
 
     Raises:

@@ -19,7 +19,7 @@ from torch import Tensor
 from recast.logs import Trajectory
 from recast.scene.poses import AdamTable
 from recast.scene.sky import SkyMap
-from recast.scene.views import View
+from recast.scene.views import TrainingView
 from recast.splats import Gaussians, concatenate
 from recast.splats.gaussians import LARGEST
 from recast.splats.sh import C0
@@ -138,11 +138,11 @@ class Exposures:
         table: (V, 12) the residuals.
     """
 
-    def __init__(self, views: Sequence[View]) -> None:
+    def __init__(self, views: Sequence[TrainingView]) -> None:
         self._rows = {(view.camera_name, view.frame): row for row, view in enumerate(views)}
         self.table = AdamTable(torch.zeros(len(views), 12))
 
-    def applied(self, image: Tensor, view: View) -> tuple[Tensor, Tensor]:
+    def applied(self, image: Tensor, view: TrainingView) -> tuple[Tensor, Tensor]:
         """The image (H, W, 3) as the view's camera exposed it, and the mean size of the residual.
 
         Both are differentiable, the second is what a regulariser weighs.

@@ -74,7 +74,7 @@ class GradientStatistics:
 
 
 @dataclass(frozen=True)
-class Change:
+class DensityChange:
     """A new population: old rows kept, and rows without history.
 
     Attributes:
@@ -101,7 +101,7 @@ def plan_change(
     generator: torch.Generator,
     doomed: Tensor | None = None,
     settled: Tensor | None = None,
-) -> Change:
+) -> DensityChange:
     """Decide on clones, splits and prunes.
 
     Args:
@@ -129,7 +129,7 @@ def plan_change(
     gone[split] = True
     parents = torch.cat([clone, split, split])
     born = gaussians.detach().select(parents)
-    return Change(
+    return DensityChange(
         kept=(~gone).nonzero()[:, 0],
         born=_spread_splits(born, len(clone), generator),
         parents=parents,

@@ -10,7 +10,7 @@ from torch import Tensor
 
 from recast.logs import GroundHeight, Track
 from recast.scene.config import SceneConfig
-from recast.scene.densify import Change, GradientStatistics, plan_change
+from recast.scene.densify import DensityChange, GradientStatistics, plan_change
 from recast.scene.trainable import TrainableScene, rows
 from recast.splats import Gaussians, RowAdam, concatenate, morton_order
 from recast.splats.gaussians import quat_multiply, quat_to_matrix
@@ -129,11 +129,13 @@ def inside_boxes(model: TrainableScene, tracks: Mapping[str, Track]) -> Tensor:
     return ((means <= high) & (means >= low)).all(dim=1)
 
 
-def _merge(old: Gaussians, change: Change) -> Gaussians:
+def _merge(old: Gaussians, change: DensityChange) -> Gaussians:
     return concatenate([old.detach().select(change.kept), change.born])
 
 
-def _follow(adam: RowAdam, change: Change, order: Tensor, parameters: dict[str, Tensor]) -> None:
+def _follow(
+    adam: RowAdam, change: DensityChange, order: Tensor, parameters: dict[str, Tensor]
+) -> None:
     """Carry the moments of the kept rows along; new rows start without history."""
     adam.select(change.kept)
     adam.append(len(change.born))

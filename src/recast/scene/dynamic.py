@@ -14,7 +14,7 @@ from recast.cameras import box_rectangle
 from recast.core.errors import InputError
 from recast.logs import DrivingLog, Track, Trajectory, all_track_points
 from recast.scene.config import SceneConfig
-from recast.scene.views import View, read_places
+from recast.scene.views import TrainingView, read_places
 
 DEFORMABLE = frozenset({"pedestrian"})
 """Categories that are not symmetric at every moment."""
@@ -63,7 +63,7 @@ def pose_at(trajectory: Trajectory, timestamp_us: int) -> Array | None:
     return trajectory.at(min(max(timestamp_us, first), last))
 
 
-def visible_rectangle(size: Array, world_from_box: Array, view: View) -> Array | None:
+def visible_rectangle(size: Array, world_from_box: Array, view: TrainingView) -> Array | None:
     """Image rectangle (left, top, right, bottom) of a box, clipped to the image; None if unseen."""
     camera = view.camera
     rectangle = box_rectangle(size, view.camera_from_world @ world_from_box, camera)
@@ -77,7 +77,7 @@ def visible_rectangle(size: Array, world_from_box: Array, view: View) -> Array |
 
 
 def choose_actors(
-    log: DrivingLog, views: Sequence[View], config: SceneConfig
+    log: DrivingLog, views: Sequence[TrainingView], config: SceneConfig
 ) -> Mapping[str, Track]:
     """Tracks that get a model of their own: moving, parked or forced ones.
 
@@ -126,7 +126,9 @@ def modelled_tracks(log: DrivingLog, config: SceneConfig) -> frozenset[str]:
     return frozenset(choose_actors(log, read_places(log, config), config))
 
 
-def _parked(log: DrivingLog, views: Sequence[View], config: SceneConfig) -> dict[str, Track]:
+def _parked(
+    log: DrivingLog, views: Sequence[TrainingView], config: SceneConfig
+) -> dict[str, Track]:
     candidates = {
         track_id: track
         for track_id, track in log.tracks.items()
@@ -153,12 +155,12 @@ def _standing(trajectory: Trajectory, ends: NDArray[np.int64]) -> Trajectory:
     return Trajectory(ends.copy(), np.stack([pose, pose]))
 
 
-def _seen_well(track: Track, views: Sequence[View]) -> bool:
+def _seen_well(track: Track, views: Sequence[TrainingView]) -> bool:
     rectangles = (_rectangle(track, view) for view in views if not view.held_out)
     sides = [np.ptp(one.reshape(2, 2), axis=0) for one in rectangles if one is not None]
     return sum(bool(np.all(side >= PARKED_PIXELS)) for side in sides) >= PARKED_VIEWS
 
 
-def _rectangle(track: Track, view: View) -> Array | None:
+def _rectangle(track: Track, view: TrainingView) -> Array | None:
     pose = pose_at(track.trajectory, view.timestamp_us)
     return None if pose is None else visible_rectangle(track.size, pose, view)

@@ -37,7 +37,7 @@ from recast.scene.scores import (
     score_regions,
 )
 from recast.scene.street_scene import StreetScene
-from recast.scene.views import View, camera_names, is_held_out, read_view
+from recast.scene.views import TrainingView, camera_names, is_held_out, read_view
 
 MIN_BOX_PX = 8
 """Boxes with a shorter edge than this in the image are not scored: too few pixels."""
@@ -122,7 +122,7 @@ def held_out_frames(log: DrivingLog, config: SceneConfig) -> list[tuple[str, int
     ]
 
 
-def held_out_psnr(scene: StreetScene, views: Sequence[View]) -> float:
+def held_out_psnr(scene: StreetScene, views: Sequence[TrainingView]) -> float:
     """Mean PSNR in dB over the usable pixels of views."""
     rasterizer = SceneRasterizer(scene)
     found = []
@@ -162,7 +162,7 @@ class ViewScorer:
         self._scene, self._moving, self._lpips = scene, moving_tracks(log), lpips
         self._sweeps = SweepsOfImages(log, self._moving)
 
-    def held_out(self, view: View, rendered: SceneImage) -> FrameScore:
+    def held_out(self, view: TrainingView, rendered: SceneImage) -> FrameScore:
         """Score a held-out image against its recording and the LiDAR of its moment.
 
         Sweeps are read once where images come in order of time.
@@ -202,7 +202,7 @@ class ViewScorer:
         return ShiftedScore(view.camera_name, view.frame, view.timestamp_us, whole, moving)
 
 
-def draw_view(rasterizer: SceneRasterizer, scene: StreetScene, view: View) -> SceneImage:
+def draw_view(rasterizer: SceneRasterizer, scene: StreetScene, view: TrainingView) -> SceneImage:
     """A view redrawn: camera corrected, actors where they were; unusable pixels as recorded."""
     pose = scene.corrected_camera(view.camera_from_world, view.camera_name, view.timestamp_us)
     poses = scene.actor_poses(view.timestamp_us)
@@ -214,7 +214,9 @@ def draw_view(rasterizer: SceneRasterizer, scene: StreetScene, view: View) -> Sc
     return replace(image, rgb=np.where(view.mask[..., None], image.rgb, recorded))
 
 
-def _box_psnr(scene: StreetScene, view: View, rendered: NDArray[np.float32]) -> dict[str, float]:
+def _box_psnr(
+    scene: StreetScene, view: TrainingView, rendered: NDArray[np.float32]
+) -> dict[str, float]:
     recorded = view.image.astype(np.float64) / 255
     found = {}
     for track_id, pose in scene.actor_poses(view.timestamp_us).items():
@@ -229,7 +231,7 @@ def _box_psnr(scene: StreetScene, view: View, rendered: NDArray[np.float32]) -> 
     return found
 
 
-def write_comparison(path: Path, view: View, rendered: NDArray[np.float32]) -> None:
+def write_comparison(path: Path, view: TrainingView, rendered: NDArray[np.float32]) -> None:
     """A PNG with the view's image, what was rendered, and three times their difference."""
     true = view.image.astype(np.float32) / 255
     difference = np.clip(3 * np.abs(rendered - true), 0, 1)

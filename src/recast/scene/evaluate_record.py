@@ -13,7 +13,7 @@ from recast.scene.evaluate_shifts import ShiftedScore, ShiftScores, picture_name
 from recast.scene.points import OwnedSweep, depth_samples, read_sweeps
 from recast.scene.render import SceneImage
 from recast.scene.scores import RegionScore, mean_score
-from recast.scene.views import View
+from recast.scene.views import TrainingView
 
 SWEEP_REACH_US = 120_000
 """Sweeps further from an image in time are not its own: KITTI's may miss every other frame."""
@@ -207,7 +207,10 @@ class SweepsOfImages:
 
 
 def depth_score(
-    rendered: SceneImage, view: View, sweeps: Sequence[OwnedSweep], actors: Mapping[str, Track]
+    rendered: SceneImage,
+    view: TrainingView,
+    sweeps: Sequence[OwnedSweep],
+    actors: Mapping[str, Track],
 ) -> DepthScore | None:
     """Score the expected depth, sum of T alpha z / alpha, in the pixels of LiDAR points.
 

@@ -13,7 +13,7 @@ from recast.geometry import boxes, se3
 from recast.logs import DrivingLog
 from recast.scene.dynamic import pose_at
 from recast.scene.scores import RegionScore, mean_score
-from recast.scene.views import View, scaled_camera
+from recast.scene.views import TrainingView, scaled_camera
 
 CAMERA_CLEARANCE_M = 0.3
 """Between a shifted camera and any labelled box."""
@@ -62,7 +62,7 @@ def picture_name(camera_name: str, frame: int) -> str:
 
 
 @dataclass(frozen=True)
-class ShiftedView(View):
+class ShiftedView(TrainingView):
     """A view that the log does not have: a logged one from the shifted ego.
 
     Attributes:

@@ -26,7 +26,7 @@ from recast.scene.points import (
     project_visible,
     voxel_downsample,
 )
-from recast.scene.views import View, nearest_views
+from recast.scene.views import TrainingView, nearest_views
 from recast.splats import Gaussians
 from recast.splats.sh import C0
 
@@ -38,7 +38,7 @@ FEW_POINTS = 200
 GRID_SPACING_M = 0.15
 
 
-def near_samples(view: View, samples: DepthSamples) -> Mask:
+def near_samples(view: TrainingView, samples: DepthSamples) -> Mask:
     """Pixels (H, W) within a few pixels of a LiDAR return."""
     hit = np.zeros((view.camera.height, view.camera.width), np.uint8)
     hit[samples.uv[:, 1].astype(np.int64), samples.uv[:, 0].astype(np.int64)] = 1
@@ -46,13 +46,13 @@ def near_samples(view: View, samples: DepthSamples) -> Mask:
     return cv2.dilate(hit, np.ones((size, size), np.uint8)) > 0
 
 
-def pixel_colours(view: View, uv: Float32Array) -> Float32Array:
+def pixel_colours(view: TrainingView, uv: Float32Array) -> Float32Array:
     """Image colours (M, 3) in [0, 1] at pixel coordinates (M, 2)."""
     rows, columns = uv[:, 1].astype(np.int64), uv[:, 0].astype(np.int64)
     return (view.image[rows, columns] / 255.0).astype(np.float32)
 
 
-def usable_pixels(view: View, uv: Float32Array) -> Mask:
+def usable_pixels(view: TrainingView, uv: Float32Array) -> Mask:
     """Which pixel coordinates (M, 2) the view's mask lets count."""
     if view.mask is None:
         return np.ones(len(uv), bool)
@@ -60,7 +60,7 @@ def usable_pixels(view: View, uv: Float32Array) -> Mask:
 
 
 def coloured_background(
-    sweep: OwnedSweep, views: Sequence[View], actors: Mapping[str, Track]
+    sweep: OwnedSweep, views: Sequence[TrainingView], actors: Mapping[str, Track]
 ) -> PointCloud:
     """A sweep's background points with colours from the views nearest in time, one a camera."""
     points = sweep.background
@@ -72,7 +72,7 @@ def coloured_background(
     return concatenate(clouds)
 
 
-def _seen(view: View, actors: Mapping[str, Track]) -> Iterator[tuple[Track, Array, Array]]:
+def _seen(view: TrainingView, actors: Mapping[str, Track]) -> Iterator[tuple[Track, Array, Array]]:
     """Tracks in a view with their pose (4, 4) and the rectangle (4,) of their box in the image."""
     for track in actors.values():
         pose = pose_at(track.trajectory, view.timestamp_us)
@@ -82,7 +82,7 @@ def _seen(view: View, actors: Mapping[str, Track]) -> Iterator[tuple[Track, Arra
 
 
 def _behind_actors(
-    view: View, uv: Float32Array, depth: Float32Array, actors: Mapping[str, Track]
+    view: TrainingView, uv: Float32Array, depth: Float32Array, actors: Mapping[str, Track]
 ) -> Mask:
     """Points whose pixel may show a moving object in front of them at the view's own time."""
     hidden = np.zeros(len(uv), bool)
@@ -94,7 +94,7 @@ def _behind_actors(
 
 
 def plane_sweep_points(
-    views: Sequence[View],
+    views: Sequence[TrainingView],
     depths: Sequence[DepthSamples],
     skies: Sequence[Mask],
     actors: Mapping[str, Track],
@@ -125,7 +125,7 @@ def plane_sweep_points(
     return concatenate(clouds)
 
 
-def _actor_pixels(view: View, actors: Mapping[str, Track]) -> Mask:
+def _actor_pixels(view: TrainingView, actors: Mapping[str, Track]) -> Mask:
     covered = np.zeros((view.camera.height, view.camera.width), bool)
     if view.mask is not None:
         covered |= ~view.mask
@@ -136,7 +136,7 @@ def _actor_pixels(view: View, actors: Mapping[str, Track]) -> Mask:
     return covered
 
 
-def _unproject(view: View, depth: Float32Array) -> PointCloud:
+def _unproject(view: TrainingView, depth: Float32Array) -> PointCloud:
     rows, columns = np.nonzero(depth)
     distance = depth[rows, columns]
     pixels = np.stack([columns, rows], axis=-1) + 0.5
@@ -146,7 +146,7 @@ def _unproject(view: View, depth: Float32Array) -> PointCloud:
 
 
 def without_points_in_sky(
-    cloud: PointCloud, views: Sequence[View], skies: Sequence[Mask]
+    cloud: PointCloud, views: Sequence[TrainingView], skies: Sequence[Mask]
 ) -> PointCloud:
     """Drop points that two views see in front of plain sky: wrong matches, stray returns."""
     hits = np.zeros(len(cloud), np.int64)
@@ -163,7 +163,7 @@ def without_points_in_sky(
 
 
 def actor_cloud(
-    track: Track, sweeps: Sequence[OwnedSweep], views: Sequence[View], config: SceneConfig
+    track: Track, sweeps: Sequence[OwnedSweep], views: Sequence[TrainingView], config: SceneConfig
 ) -> PointCloud:
     """Points in the box frame: the track's LiDAR points, or a grid where they are too few."""
     clouds = []

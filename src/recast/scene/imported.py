@@ -38,7 +38,7 @@ MATCHED_SHARE = 0.5
 
 
 @dataclass(frozen=True)
-class Placement:
+class ScenePlacement:
     """Scene coordinates to the log's world.
 
     Attributes:
@@ -74,7 +74,7 @@ def read_transform(path: Path) -> Array:
     return numbers.reshape(4, 4)
 
 
-def given_placement(path: Path, scalable: bool = False) -> Placement:
+def given_placement(path: Path, scalable: bool = False) -> ScenePlacement:
     """The placement that a file tells.
 
     Args:
@@ -95,7 +95,7 @@ def given_placement(path: Path, scalable: bool = False) -> Placement:
     if not scalable and abs(scale - 1) > 1e-4:
         raise InputError(path, "matrix", f"scales by {scale:.6g}", "write a matrix in metres")
     rigid = se3.from_rotation_translation(se3.nearest_rotations(block)[0], matrix[:3, 3])
-    return Placement(rigid, f"as given in {path.name}", scale if scalable else 1.0)
+    return ScenePlacement(rigid, f"as given in {path.name}", scale if scalable else 1.0)
 
 
 def frame_times(log: DrivingLog, clock: str | None, first: int = 0) -> Int64Array:
@@ -201,7 +201,7 @@ def write_imported(
     source: Path,
     log: DrivingLog,
     out: str | Path,
-    placement: Placement,
+    placement: ScenePlacement,
     scene: StreetScene,
     *,
     layout: str,
@@ -283,7 +283,7 @@ def import_gaussians(
     background = read_gaussians(path, double=True)
     if len(background) == 0:
         raise InputError(path, "Gaussians", "there are none", "export it again")
-    placement = Placement(np.eye(4), "the log's world (no transform was given)")
+    placement = ScenePlacement(np.eye(4), "the log's world (no transform was given)")
     if world_from_file is not None:
         placement = given_placement(world_from_file, scalable=True)
         pose = torch.from_numpy(placement.world_from_scene)

@@ -46,7 +46,7 @@ from recast.scene.points import (
 )
 from recast.scene.sky import SkyMap, sky_from_pixels
 from recast.scene.sky_masks import sky_masks
-from recast.scene.views import View
+from recast.scene.views import TrainingView
 from recast.splats import Gaussians
 
 BUDGET_FILE = "budget.json"
@@ -95,7 +95,7 @@ class Initialisation:
 
 def initialise(
     log: DrivingLog,
-    views: Sequence[View],
+    views: Sequence[TrainingView],
     actors: Mapping[str, Track],
     config: SceneConfig,
     rng: np.random.Generator,
@@ -168,7 +168,7 @@ def _even_ground(log: DrivingLog, sweeps: Sequence[OwnedSweep]) -> GroundHeight 
     return found if np.isfinite(found.height).any() else None
 
 
-def _first_sky(views: Sequence[View], skies: Sequence[Mask]) -> SkyMap:
+def _first_sky(views: Sequence[TrainingView], skies: Sequence[Mask]) -> SkyMap:
     directions, colours = [], []
     for view, sky in zip(views, skies, strict=True):
         rows, columns = np.nonzero(sky)
@@ -223,7 +223,7 @@ class Budget(Record):
         return f"{limit}: {', '.join(parts)}"
 
 
-def gaussian_budget(config: SceneConfig, views: Sequence[View]) -> Budget:
+def gaussian_budget(config: SceneConfig, views: Sequence[TrainingView]) -> Budget:
     """The limit for a training on `views`; those held out do not count."""
     training = [view for view in views if not view.held_out]
     pixels = sum(view.camera.width * view.camera.height for view in training)

@@ -20,7 +20,7 @@ from recast.scene.config import SceneConfig
 from recast.scene.first_points import near_samples
 from recast.scene.initialise import Initialisation
 from recast.scene.points import DepthSamples
-from recast.scene.views import View
+from recast.scene.views import TrainingView
 
 MAX_DEPTHS = 12_000
 
@@ -92,7 +92,7 @@ class StoredLevel:
 
 
 def make_level(
-    view: View, sky: Mask, ground: Mask | None, samples: DepthSamples, factor: int = 1
+    view: TrainingView, sky: Mask, ground: Mask | None, samples: DepthSamples, factor: int = 1
 ) -> StoredLevel:
     """The view with width and height divided by `factor`.
 
@@ -132,7 +132,7 @@ def _wholly(mask: Mask, size: tuple[int, int]) -> Mask:
 
 
 def make_levels(
-    config: SceneConfig, views: Sequence[View], start: Initialisation
+    config: SceneConfig, views: Sequence[TrainingView], start: Initialisation
 ) -> dict[int, list[StoredLevel]]:
     """By factor of `schedule.coarse_factor`, the training views in order."""
     factors = set(config.coarse_factors) if config.coarse_fraction > 0 else set()
@@ -146,7 +146,9 @@ def make_levels(
     return levels
 
 
-def _ground(config: SceneConfig, view: View, sky: Mask, samples: DepthSamples) -> Mask | None:
+def _ground(
+    config: SceneConfig, view: TrainingView, sky: Mask, samples: DepthSamples
+) -> Mask | None:
     """Pixels that are surely no sky: all others, as far as they count.
 
     The guessed sky errs on the small side; then only pixels near a LiDAR return are sure.

@@ -19,7 +19,7 @@ from recast.scene.config import SceneConfig
 from recast.scene.levels import Level
 from recast.scene.photometric import photometric_loss
 from recast.scene.poses import TrackPoses
-from recast.scene.trainable import Drawn, rows
+from recast.scene.trainable import DrawnView, rows
 from recast.splats import Gaussians, Rasterization, rasterize
 
 DepthError = Literal["relative", "metric", "inverse"]
@@ -129,7 +129,7 @@ def view_loss(config: SceneConfig, image: Tensor, result: Rasterization, level: 
 
 
 def actors_alone(
-    drawn: Drawn, pose: Tensor, level: Level, placed: Sequence[tuple[Array, Tensor]]
+    drawn: DrawnView, pose: Tensor, level: Level, placed: Sequence[tuple[Array, Tensor]]
 ) -> Tensor:
     """`actor_opacity` of a view's actors, rendered a second time without the rest.
 

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from recast.arrays import Array, Float32Array, Mask
 from recast.cameras import PinholeCamera
-from recast.scene.views import View
+from recast.scene.views import TrainingView
 
 NEIGHBOURS = (-2, -1, 1, 2)
 
@@ -35,7 +35,7 @@ MIN_TEXTURE = 0.02
 
 
 def sweep_depths(
-    views: Sequence[View],
+    views: Sequence[TrainingView],
     references: Sequence[int],
     wanted: Sequence[Mask],
     threads: int = 1,
@@ -67,7 +67,7 @@ def sweep_depths(
 
 
 def _sweep(
-    reference: View, neighbours: Sequence[View], wanted: Mask, inverse: Array
+    reference: TrainingView, neighbours: Sequence[TrainingView], wanted: Mask, inverse: Array
 ) -> Float32Array:
     result = np.zeros(wanted.shape, np.float32)
     rows = np.flatnonzero(wanted.any(axis=1))
@@ -100,8 +100,8 @@ def _sweep(
 def _cost(
     image: NDArray[np.uint8],
     camera: PinholeCamera,
-    reference: View,
-    other: View,
+    reference: TrainingView,
+    other: TrainingView,
     other_grey: NDArray[np.uint8],
     inverse_depth: float,
 ) -> Float32Array:
@@ -121,7 +121,7 @@ def _cost(
     return np.asarray(cost, np.float32) * np.float32(1 / 255)
 
 
-def _grey(view: View) -> NDArray[np.uint8]:
+def _grey(view: TrainingView) -> NDArray[np.uint8]:
     return np.maximum(cv2.cvtColor(view.image, cv2.COLOR_RGB2GRAY), 1)
 
 

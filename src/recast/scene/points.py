@@ -15,7 +15,7 @@ from recast.arrays import Array, Float32Array
 from recast.geometry import se3
 from recast.logs import DrivingLog, LidarSweep, Track
 from recast.scene.dynamic import pose_at
-from recast.scene.views import View
+from recast.scene.views import TrainingView
 from recast.splats import Gaussians, morton_order
 from recast.splats.sh import C0
 
@@ -103,7 +103,7 @@ def _divide(sweep: LidarSweep, world_from_rig: Array, actors: Mapping[str, Track
 
 
 def depth_samples(
-    view: View,
+    view: TrainingView,
     sweeps: Sequence[OwnedSweep],
     actors: Mapping[str, Track],
     window_us: int = 350_000,
@@ -130,7 +130,7 @@ def depth_samples(
 
 
 def project_visible(
-    points: Float32Array, view: View
+    points: Float32Array, view: TrainingView
 ) -> tuple[NDArray[np.int64], Float32Array, Float32Array]:
     """Points (N, 3) of the world that a view sees: (index, uv (M, 2), depth (M,)).
 

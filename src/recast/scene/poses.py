@@ -17,7 +17,7 @@ from torch import Tensor
 from recast.arrays import Array, Int64Array
 from recast.logs import Track, Trajectory
 from recast.scene.dynamic import pose_at, stands
-from recast.scene.views import View
+from recast.scene.views import TrainingView
 
 BETA1, BETA2, EPSILON = 0.9, 0.999, 1e-15
 
@@ -28,16 +28,16 @@ class CameraPoses:
     Twists are (translation in metres, rotation vector in radians) in the camera frame.
     """
 
-    def __init__(self, views: Sequence[View]) -> None:
+    def __init__(self, views: Sequence[TrainingView]) -> None:
         self._rows = {_key(view): row for row, view in enumerate(views)}
         self.table = AdamTable(torch.zeros(len(views), 6))
 
-    def camera_from_world(self, view: View) -> Tensor:
+    def camera_from_world(self, view: TrainingView) -> Tensor:
         """(4, 4) float32, differentiable in the twist, of a training view."""
         logged = torch.from_numpy(view.camera_from_world).float()
         return twist_matrix(self.table.value[self._rows[_key(view)]]) @ logged
 
-    def corrections(self, views: Sequence[View]) -> dict[str, tuple[Int64Array, Array]]:
+    def corrections(self, views: Sequence[TrainingView]) -> dict[str, tuple[Int64Array, Array]]:
         """Learned twists by camera: times (F,) and twists (F, 6), in order of time."""
         twists = self.table.value.detach().numpy().astype(np.float64)
         found = {}
@@ -100,7 +100,7 @@ class TrackPoses:
     still has no knots: the median of its labels is good enough (docs/scenes.md).
     """
 
-    def __init__(self, tracks: Mapping[str, Track], views: Sequence[View]) -> None:
+    def __init__(self, tracks: Mapping[str, Track], views: Sequence[TrainingView]) -> None:
         self._logged: dict[str, Trajectory] = {}
         self._knots: dict[str, Int64Array] = {}
         self._first_row: dict[str, int] = {}
@@ -195,7 +195,7 @@ class _Present:
     weights: Tensor
 
 
-def _trained_labels(trajectory: Trajectory, views: Sequence[View]) -> NDArray[np.bool_]:
+def _trained_labels(trajectory: Trajectory, views: Sequence[TrainingView]) -> NDArray[np.bool_]:
     """Labels (T,) whose nearest view in time is one to train on."""
     times = np.array([view.timestamp_us for view in views], np.int64)
     held_out = np.array([view.held_out for view in views], bool)
@@ -214,7 +214,7 @@ def _offset(pose: Tensor, offset: Tensor) -> Tensor:
     return torch.cat([top, pose[..., 3:, :]], dim=-2)
 
 
-def _key(view: View) -> tuple[str, int]:
+def _key(view: TrainingView) -> tuple[str, int]:
     return view.camera_name, view.frame
 
 

@@ -25,7 +25,7 @@ FREE_FIELDS = frozenset({"threads", "evaluate_every", "checkpoint_every"})
 """Fields that may differ when a run is taken up again: they do not change what is learned."""
 
 
-class Source(Record):
+class TrainingSource(Record):
     """Contents of source.json: the log a scene is made from."""
 
     log_name: str
@@ -63,7 +63,7 @@ def claim_folder(folder: Path, log: DrivingLog, config: SceneConfig) -> None:
     Raises:
         InputError: it holds something else, or a run with another log, configuration or version.
     """
-    source = Source(log_name=log.name, log_fingerprint=log_fingerprint(log))
+    source = TrainingSource(log_name=log.name, log_fingerprint=log_fingerprint(log))
     if folder.exists() and not folder.is_dir():
         raise InputError(folder, "output folder", "is a file", "name another folder")
     if (folder / CONFIG_FILE).is_file() and (folder / SOURCE_FILE).is_file():
@@ -96,7 +96,7 @@ def read_training_config(folder: str | Path) -> SceneConfig:
     return parse_config(path, read_json(path))
 
 
-def _check_same(folder: Path, source: Source, config: SceneConfig) -> None:
+def _check_same(folder: Path, source: TrainingSource, config: SceneConfig) -> None:
     mend = "name another folder or remove this one"
     found = read_training_config(folder)
     if not found.is_whole():
@@ -109,7 +109,7 @@ def _check_same(folder: Path, source: Source, config: SceneConfig) -> None:
                 folder, name, f"holds a run with {before!r}, this one has {asked!r}", mend
             )
     try:
-        before = Source.model_validate(read_json(folder / SOURCE_FILE))
+        before = TrainingSource.model_validate(read_json(folder / SOURCE_FILE))
     except ValidationError:
         raise InputError(folder / SOURCE_FILE, "source", "cannot be read", mend) from None
     if before != source:

@@ -18,7 +18,7 @@ from recast.arrays import Array
 from recast.cameras import box_outline
 from recast.logs import DrivingLog, Track
 from recast.scene.dynamic import moves, pose_at
-from recast.scene.views import Mask, View
+from recast.scene.views import Mask, TrainingView
 
 WINDOW = 11
 SIGMA = 1.5
@@ -135,7 +135,7 @@ def moving_tracks(log: DrivingLog) -> dict[str, Track]:
     return {key: track for key, track in log.tracks.items() if moves(track.trajectory)}
 
 
-def moving_region(tracks: Mapping[str, Track], view: View) -> MovingRegion:
+def moving_region(tracks: Mapping[str, Track], view: TrainingView) -> MovingRegion:
     """The pixels inside projected boxes with length and width times 1.5, as labelled.
 
     What stands before a box is not taken out of it. The region depends on the log alone, so that
@@ -174,7 +174,7 @@ def _within(points: Array, left: int, top: int, right: int, bottom: int) -> Mask
 
 
 def score_regions(
-    rendered: NDArray[np.float32], view: View, moving: MovingRegion, lpips: Distance | None
+    rendered: NDArray[np.float32], view: TrainingView, moving: MovingRegion, lpips: Distance | None
 ) -> tuple[RegionScore, RegionScore | None]:
     """Scores of the whole image and of what moves in it; None where too little does.
 

@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 from torch.autograd.function import once_differentiable
 
-from recast.kernel import Sky, library
+from recast.kernel import KernelSky, library
 from recast.scene.sky import OPAQUE, composite
 from recast.splats.native.rasterizer import empty, takes
 
@@ -56,8 +56,8 @@ class _Fused(torch.autograd.Function):
         return image_grad, alpha_grad, colours_grad, None
 
 
-def _call(alpha: Tensor, colours: Tensor, coordinates: Tensor) -> Sky:
-    return Sky(
+def _call(alpha: Tensor, colours: Tensor, coordinates: Tensor) -> KernelSky:
+    return KernelSky(
         alpha=alpha.data_ptr(),
         colours=colours.data_ptr(),
         coordinates=coordinates.data_ptr(),

@@ -20,7 +20,7 @@ from recast.pretrained import PretrainedFolder
 from recast.scene.config import SceneConfig
 from recast.scene.first_points import near_samples
 from recast.scene.points import DepthSamples
-from recast.scene.views import View, fit_mask
+from recast.scene.views import TrainingView, fit_mask
 
 LEAST_BRIGHT = 0.62
 """Least value of the brightest channel of sky."""
@@ -33,7 +33,10 @@ _NAMES = "name them FRAME_CAMERA.png, with the log's name of the camera or Waymo
 
 
 def sky_masks(
-    log: DrivingLog, views: Sequence[View], depths: Sequence[DepthSamples], config: SceneConfig
+    log: DrivingLog,
+    views: Sequence[TrainingView],
+    depths: Sequence[DepthSamples],
+    config: SceneConfig,
 ) -> list[Mask]:
     """Sky of each view (H, W) bool, by the method that the configuration names.
 
@@ -58,7 +61,7 @@ def sky_masks(
 
 
 def _from_files(
-    log: DrivingLog, views: Sequence[View], scale: float, folder: Path
+    log: DrivingLog, views: Sequence[TrainingView], scale: float, folder: Path
 ) -> Iterator[Mask]:
     """Masks as the processed folders of DriveStudio and Street Gaussians hold them: white is sky.
 
@@ -95,7 +98,7 @@ def _read_mask(path: Path, width: int, height: int) -> Mask:
     return decode_mask(path, path, (width, height), "the image", what="sky mask") > 127
 
 
-def _from_network(views: Sequence[View], folder: Path) -> Iterator[Mask]:
+def _from_network(views: Sequence[TrainingView], folder: Path) -> Iterator[Mask]:
     """Masks of a SegFormer that knows a class called sky; no code of the folder runs."""
     published = PretrainedFolder(
         folder,

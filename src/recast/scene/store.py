@@ -39,7 +39,7 @@ TENSOR_FILE = "scene.safetensors"
 _MEND = "train the scene again, or use the release that wrote it"
 
 
-class ActorRecord(Record):
+class SceneActorRecord(Record):
     """One actor in scene.json."""
 
     track_id: str
@@ -57,7 +57,7 @@ class SceneRecord(Record):
     world_offset: tuple[float, float, float]
     background: str
     tensors: str = TENSOR_FILE
-    actors: list[ActorRecord]
+    actors: list[SceneActorRecord]
     cameras: list[str]
     deformation: str | None = None
     bodies: str | None = None
@@ -90,7 +90,7 @@ def save_scene(scene: StreetScene, folder: str | Path) -> None:
             tensors[f"actor/{track_id}/waves"] = actor.appearance.fourier
             tensors[f"actor/{track_id}/frozen_share"] = share
         records.append(
-            ActorRecord(
+            SceneActorRecord(
                 track_id=track_id,
                 size=_triple(actor.size),
                 gaussians=f"{stem}.ply",
@@ -208,7 +208,7 @@ class _Tensors:
         return found
 
 
-def _read_actor(folder: Path, entry: ActorRecord, tensors: _Tensors) -> SceneActor:
+def _read_actor(folder: Path, entry: SceneActorRecord, tensors: _Tensors) -> SceneActor:
     prefix = f"actor/{entry.track_id}"
     gaussians = _read_part(folder, entry.gaussians, "actors.gaussians")
     appearance = None

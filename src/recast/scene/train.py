@@ -39,7 +39,7 @@ from recast.scene.run import ProgressCallback, TrainingStatus, claim_folder
 from recast.scene.store import SCENE_FILE, load_scene, save_scene
 from recast.scene.street_scene import StreetScene
 from recast.scene.trainer import Trainer
-from recast.scene.views import View, read_views
+from recast.scene.views import TrainingView, read_views
 from recast.splats import pick_device, set_threads
 
 WORK_FOLDER = "work"
@@ -184,7 +184,7 @@ class _Run:
         self._tell("done", trainer.iteration, trainer, history)
         return TrainResult(scene, self._out, history, budget)
 
-    def _trainer(self, views: list[View]) -> tuple[Initialisation, Trainer]:
+    def _trainer(self, views: list[TrainingView]) -> tuple[Initialisation, Trainer]:
         config = self._config
         tracks = choose_actors(self._log, views, config)
         bodies = read_bodies(config, tracks)
@@ -198,7 +198,7 @@ class _Run:
         trainer = Trainer(config, views, tracks, start, self._device, bodies)
         return start, trainer
 
-    def _evaluate(self, trainer: Trainer, held_out: list[View]) -> dict[str, float]:
+    def _evaluate(self, trainer: Trainer, held_out: list[TrainingView]) -> dict[str, float]:
         losses, psnrs = zip(*self._recent, strict=True)
         record = {
             "iteration": trainer.iteration,

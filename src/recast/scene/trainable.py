@@ -64,7 +64,7 @@ class Span:
 
 
 @dataclass(frozen=True)
-class Drawn:
+class DrawnView:
     """What one view sees: leaf Gaussians for the rasterizer, and where the actors are in them."""
 
     gaussians: Gaussians
@@ -135,7 +135,7 @@ class TrainableScene:
         shares: Mapping[str, float] | None = None,
         flipped: Tensor | None = None,
         shapes: Mapping[str, Shape] | None = None,
-    ) -> Drawn:
+    ) -> DrawnView:
         """Put the actors at `world_from_actor` poses (4, 4) behind the background.
 
         Args:
@@ -166,9 +166,9 @@ class TrainableScene:
             spans.append(Span(first, last, start, stop, posed))
             first = last
         leaves = {k: v[:first].requires_grad_() for k, v in rows(self._buffer).items()}
-        return Drawn(Gaussians(**leaves), tuple(spans))
+        return DrawnView(Gaussians(**leaves), tuple(spans))
 
-    def take_gradients(self, drawn: Drawn) -> None:
+    def take_gradients(self, drawn: DrawnView) -> None:
         """After the loss's backward pass: carry it on to the parameters and the actors' poses."""
         gradients = {k: v.grad for k, v in rows(drawn.gaussians).items()}
         n = len(self.background)
@@ -184,7 +184,7 @@ class TrainableScene:
                 given += [gradient[span.first : span.last] for span in drawn.spans]
         torch.autograd.backward(outputs, given)
 
-    def visible(self, drawn: Drawn, meta: RasterMeta) -> tuple[Tensor, Tensor]:
+    def visible(self, drawn: DrawnView, meta: RasterMeta) -> tuple[Tensor, Tensor]:
         """Which rows of the background and of the actors the view saw: two bool masks."""
         local = torch.zeros(len(self.local), dtype=torch.bool, device=meta.visible.device)
         for span in drawn.spans:
@@ -193,7 +193,7 @@ class TrainableScene:
 
     def count(
         self,
-        drawn: Drawn,
+        drawn: DrawnView,
         meta: RasterMeta,
         width: int,
         height: int,

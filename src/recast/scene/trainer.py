@@ -39,8 +39,8 @@ from recast.scene.schedule import (
     sky_rate,
 )
 from recast.scene.street_scene import Deforming, SceneActor, StreetScene
-from recast.scene.trainable import Drawn, TrainableScene, copy, make_sky
-from recast.scene.views import View
+from recast.scene.trainable import DrawnView, TrainableScene, copy, make_sky
+from recast.scene.views import TrainingView
 from recast.splats import Gaussians, rasterize
 
 RADIANS_PER_METRE = 0.1
@@ -79,7 +79,7 @@ class Trainer:
     def __init__(
         self,
         config: SceneConfig,
-        views: Sequence[View],
+        views: Sequence[TrainingView],
         tracks: Mapping[str, Track],
         start: Initialisation,
         device: torch.device | str = "cpu",
@@ -159,7 +159,7 @@ class Trainer:
         found = self.track_poses.world_from_actors(timestamp_us)
         return {name: found[name] for name in self.model.track_ids if name in found}
 
-    def _draw(self, poses: Mapping[str, Tensor], view: View, u: float) -> Drawn:
+    def _draw(self, poses: Mapping[str, Tensor], view: TrainingView, u: float) -> DrawnView:
         time = view.timestamp_us
         shares = {name: share_of(self._tracks[name].trajectory, time) for name in poses}
         shapes = {
@@ -167,7 +167,7 @@ class Trainer:
         }
         return self.model.draw(poses, shares, self._flipped(), shapes)
 
-    def _deformed(self, poses: Mapping[str, Tensor], view: View, u: float) -> list[str]:
+    def _deformed(self, poses: Mapping[str, Tensor], view: TrainingView, u: float) -> list[str]:
         """Actors to deform: bodies, and others whose box, with some room, is in the image."""
         found = [name for name in poses if name in self._bodies]
         if not self.deformable.begun(u):
@@ -198,7 +198,7 @@ class Trainer:
         drawn = torch.rand(len(owner), generator=rng) < probability
         return (drawn & self._symmetric[owner]).to(self.device)
 
-    def _fit(self, view: View, level: Level, u: float) -> StepReport:
+    def _fit(self, view: TrainingView, level: Level, u: float) -> StepReport:
         config, camera = self.config, level.camera
         poses = self.poses(view.timestamp_us)
         drawn = self._draw(poses, view, u)

@@ -19,7 +19,7 @@ from recast.scene.config import SceneConfig
 
 
 @dataclass(frozen=True)
-class View:
+class TrainingView:
     """One posed image.
 
     Attributes:
@@ -73,7 +73,7 @@ def is_held_out(frame: int, config: SceneConfig) -> bool:
     return every > 0 and frame % every == config.holdout_offset % every
 
 
-def read_places(log: DrivingLog, config: SceneConfig) -> list[View]:
+def read_places(log: DrivingLog, config: SceneConfig) -> list[TrainingView]:
     """`read_views` without the images: where and when each was taken."""
     return [
         _place(log, log.cameras[name], frame, config.scale, is_held_out(frame, config))
@@ -82,7 +82,7 @@ def read_places(log: DrivingLog, config: SceneConfig) -> list[View]:
     ]
 
 
-def read_views(log: DrivingLog, config: SceneConfig) -> list[View]:
+def read_views(log: DrivingLog, config: SceneConfig) -> list[TrainingView]:
     """All views of the chosen cameras, camera by camera, in order of time.
 
     A camera's views share one mask: it hangs on lens and mount alone.
@@ -100,7 +100,7 @@ def read_views(log: DrivingLog, config: SceneConfig) -> list[View]:
 
 def read_view(
     log: DrivingLog, stream: CameraStream, frame: int, scale: float, held_out: bool = False
-) -> View:
+) -> TrainingView:
     """Decode, rectify and scale one frame."""
     full = stream.camera
     image: Image = np.ascontiguousarray(stream.images[frame])
@@ -117,9 +117,11 @@ def read_view(
     return replace(place, image=image, mask=None if mask is None else fit_mask(full, mask, scale))
 
 
-def _place(log: DrivingLog, stream: CameraStream, frame: int, scale: float, held_out: bool) -> View:
+def _place(
+    log: DrivingLog, stream: CameraStream, frame: int, scale: float, held_out: bool
+) -> TrainingView:
     timestamp_us = int(stream.timestamps_us[frame])
-    return View(
+    return TrainingView(
         camera_name=stream.name,
         frame=frame,
         timestamp_us=timestamp_us,
@@ -135,7 +137,9 @@ def scaled_camera(camera: PinholeCamera, scale: float) -> PinholeCamera:
     return camera.rectified().resized(max(1, width), max(1, height))
 
 
-def nearest_views(views: Sequence[View], timestamp_us: int, limit_us: int) -> Iterator[View]:
+def nearest_views(
+    views: Sequence[TrainingView], timestamp_us: int, limit_us: int
+) -> Iterator[TrainingView]:
     """Of each camera the view nearest in time, where it is within `limit_us`."""
     for name in dict.fromkeys(view.camera_name for view in views):
         own = [view for view in views if view.camera_name == name]

@@ -12,7 +12,7 @@ from recast.simulation.actor_motion import (
     StartSituation,
 )
 from recast.simulation.actors import PreparedActor, PreparedRollout, prepare
-from recast.simulation.motions import Advancing, CutIn, Idm, LogReplay, Oncoming, Stationary
+from recast.simulation.motions import Advancing, CutIn, Idm, LoggedMotion, Oncoming, Stationary
 from recast.simulation.plan_execution import EgoController, LqrController, PerfectController
 from recast.simulation.planner_calls import PlannerProcess
 from recast.simulation.recorded_road import Ending, RoadSurface
@@ -62,7 +62,7 @@ __all__ = [
     "EgoController",
     "Ending",
     "Idm",
-    "LogReplay",
+    "LoggedMotion",
     "LqrController",
     "MotionInput",
     "NullRenderer",

@@ -160,7 +160,7 @@ class Advancing(Scripted):
 
 
 @dataclass(frozen=True)
-class LogReplay(Scripted):
+class LoggedMotion(Scripted):
     """Drives as logged; after its last label it keeps speed and heading."""
 
     setting: str = "a"

@@ -10,7 +10,7 @@ import numpy as np
 from recast.arrays import Array, Image
 from recast.cameras import CameraMount, PinholeCamera
 from recast.core.workers import Closing
-from recast.simulation.renderer import Mounted
+from recast.simulation.renderer import MountedRenderer
 from recast.simulation.state import SimState
 from recast.synthetic.oracle import Oracle, OraclePool
 from recast.synthetic.rendering import CameraFrame
@@ -53,7 +53,7 @@ class TrueView(NamedTuple):
         )
 
 
-class WorldRenderer(Mounted, Closing):
+class WorldRenderer(MountedRenderer, Closing):
     """Base of renderers that look at a synthetic world, each camera with the exposure it has in the
     log, virtual ones with that of the camera at whose place they are.
 

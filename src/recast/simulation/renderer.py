@@ -61,7 +61,7 @@ def camera_mount(camera: PinholeCamera, rig_from_camera: Array, scale: float = 1
     return CameraMount(camera.rectified().resized(*size), rig_from_camera)
 
 
-class Mounted:
+class MountedRenderer:
     """Base of renderers: the cameras that they were given."""
 
     def __init__(self, mounts: Mapping[str, CameraMount]) -> None:
@@ -73,7 +73,7 @@ class Mounted:
         return self._mounts
 
 
-class NullRenderer(Mounted):
+class NullRenderer(MountedRenderer):
     """Black images: to try an image-conditioned planner's plumbing without a scene."""
 
     def render(self, state: SimState, camera_names: Sequence[str]) -> dict[str, Image]:

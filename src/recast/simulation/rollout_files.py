@@ -31,7 +31,7 @@ from recast.core.records import Record, read_record
 from recast.planning import WAYPOINTS
 from recast.simulation.rollout import EGO_COLUMNS, PATH_COLUMNS, Rollout
 from recast.simulation.state import ControlledActor
-from recast.tables import Table, read_parquet, write_parquet
+from recast.tables import ArrowTable, read_parquet, write_parquet
 
 if TYPE_CHECKING:
     from recast.simulation.coverage import RolloutCoverage
@@ -101,13 +101,13 @@ def _list_column(values: Array) -> pa.Array:
     return pa.FixedSizeListArray.from_arrays(pa.array(flat.ravel()), flat.shape[1])
 
 
-def _read_numbers(table: Table, prefix: str, names: Sequence[str]) -> Array:
+def _read_numbers(table: ArrowTable, prefix: str, names: Sequence[str]) -> Array:
     """What `number_columns` wrote: (N, len(names)) float64."""
     values = [table.numbers(name) for name in _prefixed(prefix, names)]
     return np.stack(values, axis=1).astype(np.float64)
 
 
-def _read_whole(table: Table, name: str) -> NDArray[np.int64]:
+def _read_whole(table: ArrowTable, name: str) -> NDArray[np.int64]:
     """A column of whole numbers (N,).
 
     Raises:

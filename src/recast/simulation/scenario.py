@@ -7,10 +7,10 @@ from dataclasses import MISSING, dataclass, fields, replace
 from typing import Annotated, get_origin, get_type_hints
 
 from recast.simulation.actor_motion import AnyMotion, Quantity, Rows
-from recast.simulation.motions import Advancing, CutIn, Idm, LogReplay, Oncoming, Stationary
+from recast.simulation.motions import Advancing, CutIn, Idm, LoggedMotion, Oncoming, Stationary
 from recast.simulation.timed_path import TimedPath
 
-BuiltInMotion = CutIn | Oncoming | Stationary | Advancing | LogReplay | Idm | TimedPath
+BuiltInMotion = CutIn | Oncoming | Stationary | Advancing | LoggedMotion | Idm | TimedPath
 """A motion of this package, which a scenario file can describe."""
 VERSION = 1
 
@@ -112,7 +112,7 @@ MOTION_SCHEMAS: Mapping[str, MotionSchema] = {
     "oncoming": _schema(Oncoming),
     "stationary": _schema(Stationary),
     "advancing": _schema(Advancing),
-    "log-replay": _schema(LogReplay),
+    "log-replay": _schema(LoggedMotion),
     "idm": _schema(Idm),
     "timed-path": _schema(TimedPath),
 }

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from recast.core.errors import InputError
-from recast.core.yaml_lines import Node, nodes_of, read_yaml_file
+from recast.core.yaml_lines import YamlNode, nodes_of, read_yaml_file
 from recast.logs.checks import check_name
 from recast.simulation.actor_motion import AnyMotion, Quantity, Rows
 from recast.simulation.scenario import (
@@ -92,7 +92,7 @@ def _kind(motion: AnyMotion) -> str:
 # Whatever is wrong is raised as the InputError of its node: file, line, key.
 
 
-def _motions(root: Node) -> tuple[ScriptedMotion, ...]:
+def _motions(root: YamlNode) -> tuple[ScriptedMotion, ...]:
     if not isinstance(root.value, dict):
         mend = f"begin with version: {VERSION}; see docs/scenarios.md#your-own-as-a-file"
         raise root.error("scenario", "is not a mapping of keys to values", mend)
@@ -103,7 +103,7 @@ def _motions(root: Node) -> tuple[ScriptedMotion, ...]:
     _refuse_unknown(root, _FILE_KEYS)
     schema = _schema(root)
     name = _required(root, "name", "give a name, such as hard-cut-in")
-    described = root.value.get("description", Node("", root.place))
+    described = root.value.get("description", YamlNode("", root.place))
     if not isinstance(described.value, str):
         raise described.error("description", None, "give a text")
     settings = _required(root, "settings", "give at least one setting, such as a")
@@ -123,7 +123,7 @@ def _motions(root: Node) -> tuple[ScriptedMotion, ...]:
     return tuple(made)
 
 
-def _actors(root: Node, setting: str, settings: tuple[str, ...]) -> tuple[ScenarioActor, ...]:
+def _actors(root: YamlNode, setting: str, settings: tuple[str, ...]) -> tuple[ScenarioActor, ...]:
     """The further actors in one of the target's `settings`, which each of them has as well."""
     actors = root.value.get("actors")
     if actors is None:
@@ -134,7 +134,7 @@ def _actors(root: Node, setting: str, settings: tuple[str, ...]) -> tuple[Scenar
     return tuple(_actor(key, node, setting, settings) for key, node in actors.value.items())
 
 
-def _actor(track_id: str, node: Node, setting: str, settings: tuple[str, ...]) -> ScenarioActor:
+def _actor(track_id: str, node: YamlNode, setting: str, settings: tuple[str, ...]) -> ScenarioActor:
     field = f"actor {track_id}"
     try:
         check_name("track id", track_id)
@@ -144,11 +144,11 @@ def _actor(track_id: str, node: Node, setting: str, settings: tuple[str, ...]) -
         raise node.error(field, None, f"give the keys {', '.join(_ACTOR_KEYS)} below it")
     _refuse_unknown(node, _ACTOR_KEYS)
     schema = _schema(node)
-    replaced = node.value.get("replaced", Node(False, node.place))
+    replaced = node.value.get("replaced", YamlNode(False, node.place))
     if not isinstance(replaced.value, bool):
         raise replaced.error("replaced", None, "write true or false")
     if "settings" not in node.value and not schema.needs_numbers:
-        numbers = Node(None, node.place)
+        numbers = YamlNode(None, node.place)
     else:
         mend = f"give the settings {', '.join(settings)}, as for the target"
         given = _required(node, "settings", mend)
@@ -160,7 +160,7 @@ def _actor(track_id: str, node: Node, setting: str, settings: tuple[str, ...]) -
     return ScenarioActor(track_id, _motion(schema, names, numbers), replaced.value)
 
 
-def _schema(node: Node) -> MotionSchema:
+def _schema(node: YamlNode) -> MotionSchema:
     """What the member `motion` names."""
     mend = f"choose one of {', '.join(MOTION_SCHEMAS)}"
     kind = _required(node, "motion", mend)
@@ -169,13 +169,13 @@ def _schema(node: Node) -> MotionSchema:
     return MOTION_SCHEMAS[kind.value]
 
 
-def _motion(schema: MotionSchema, names: Mapping[str, str], setting: Node) -> BuiltInMotion:
+def _motion(schema: MotionSchema, names: Mapping[str, str], setting: YamlNode) -> BuiltInMotion:
     """A motion with its name, setting and description, and the numbers of one setting."""
     given = {} if setting.value is None and not schema.needs_numbers else setting.value
     if not isinstance(given, dict):
         mend = f"give {', '.join(schema.members) or 'nothing'} below it"
         raise setting.error(f"setting {names['setting']}", None, mend)
-    node = Node(given, setting.place)
+    node = YamlNode(given, setting.place)
     _refuse_unknown(node, schema.members)
     values: dict[str, Any] = dict(names)
     for key, quantity in schema.quantities.items():
@@ -195,7 +195,7 @@ def _motion(schema: MotionSchema, names: Mapping[str, str], setting: Node) -> Bu
         raise given.get(key, setting).error(key, problem, mend) from None
 
 
-def _number(node: Node, key: str, quantity: Quantity) -> float:
+def _number(node: YamlNode, key: str, quantity: Quantity) -> float:
     mend = f"give {quantity.range}"
     if not isinstance(node.value, float):
         raise node.error(key, None, mend)
@@ -204,7 +204,7 @@ def _number(node: Node, key: str, quantity: Quantity) -> float:
     return node.value
 
 
-def _rows(node: Node, key: str, rows: Rows, mend: str) -> tuple[tuple[float, ...], ...]:
+def _rows(node: YamlNode, key: str, rows: Rows, mend: str) -> tuple[tuple[float, ...], ...]:
     if not isinstance(node.value, list) or len(node.value) < rows.least:
         problem = f"has {len(node.value)} rows" if isinstance(node.value, list) else None
         raise node.error(key, problem, mend)
@@ -220,14 +220,14 @@ def _rows(node: Node, key: str, rows: Rows, mend: str) -> tuple[tuple[float, ...
     return tuple(found)
 
 
-def _required(node: Node, key: str, mend: str) -> Node:
+def _required(node: YamlNode, key: str, mend: str) -> YamlNode:
     """The member `key` of a mapping; `mend` says what to write if it is missing."""
     if key not in node.value:
         raise node.error(key, "is missing", mend)
     return node.value[key]
 
 
-def _refuse_unknown(node: Node, known: tuple[str, ...]) -> None:
+def _refuse_unknown(node: YamlNode, known: tuple[str, ...]) -> None:
     for key, member in node.value.items():
         if key not in known:
             near = get_close_matches(key, known, 1)
@@ -235,11 +235,11 @@ def _refuse_unknown(node: Node, known: tuple[str, ...]) -> None:
             raise member.error(key, "is not known", mend)
 
 
-def _word(text: Any, node: Node, field: str) -> str:
+def _word(text: Any, node: YamlNode, field: str) -> str:
     """A name of small letters, digits and hyphens; `node` is where it stands."""
     if not isinstance(text, str) or len(text) > _LONGEST_WORD or not _WORD.fullmatch(text):
         mend = (
             "use lower-case letters, digits and single hyphens, at most 40; quote it if all digits"
         )
-        raise Node(text, node.place).error(field, None, mend)
+        raise YamlNode(text, node.place).error(field, None, mend)
     return text

@@ -15,12 +15,12 @@ from recast.core.errors import InputError
 from recast.geometry import se3
 from recast.scene.render import SceneRasterizer
 from recast.scene.street_scene import StreetScene
-from recast.simulation.renderer import Mounted, SensorRenderer
+from recast.simulation.renderer import MountedRenderer, SensorRenderer
 from recast.simulation.state import SimState
 from recast.splats import Window
 
 
-class SceneRenderer(Mounted):
+class SceneRenderer(MountedRenderer):
     """Renders a reconstructed street scene.
 
     Args:
@@ -103,7 +103,7 @@ def draw_image(
     return (drawn.rgb * 255).round().to(torch.uint8).cpu().numpy()
 
 
-class LensRenderer(Mounted):
+class LensRenderer(MountedRenderer):
     """Renders what another renderer cannot.
 
     Each distorted camera is rendered a little wider and without distortion, then the image is bent;

@@ -17,7 +17,7 @@ from torch import Tensor
 from recast.arrays import Array
 from recast.core.errors import InputError
 from recast.core.gltf.file import LONGEST_GLB, GlbFile, write_glb
-from recast.core.gltf.tree import POINTS, Part, Primitive, placed_primitives
+from recast.core.gltf.tree import POINTS, GltfPart, Primitive, placed_primitives
 from recast.geometry import se3
 from recast.splats.gaussians import Gaussians, concatenate
 from recast.splats.linear import from_linear, to_linear
@@ -32,7 +32,7 @@ _MEND = "export it again as plain glTF with KHR_gaussian_splatting"
 _LOW_PASS = "recast_low_pass"  # in asset.extras
 
 
-class Splats(Part):
+class GltfSplats(GltfPart):
     """The extension's members."""
 
     kernel: Literal["ellipse"]
@@ -184,7 +184,7 @@ def _count(file: GlbFile, primitive: Primitive, field: str) -> int:
 
 def _primitive(file: GlbFile, one: Primitive, pose: Array, field: str, n: int) -> Gaussians:
     """The N Gaussians of a primitive, placed."""
-    file.extension(one, EXTENSION, Splats)  # refuses other kernels and colour spaces
+    file.extension(one, EXTENSION, GltfSplats)  # refuses other kernels and colour spaces
     prefix = f"{EXTENSION}:SH_"
     named = sum(name.startswith(prefix) for name in one.attributes)
     degree = round(named**0.5) - 1

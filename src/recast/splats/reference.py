@@ -28,7 +28,7 @@ from recast.splats.rasterization import (
 
 
 @dataclass(frozen=True)
-class Splats:
+class ProjectedSplats:
     """The M visible Gaussians projected to the image, nearest first.
 
     Attributes: ids (M,) rows of the Gaussians; means2d (M, 2) px; conics (M, 3) entries xx, xy, yy
@@ -89,7 +89,9 @@ def rasterize_reference(
     return Rasterization(rgb, depth, alpha, meta)
 
 
-def project(gaussians: Gaussians, camera_from_world: Tensor, settings: RasterSettings) -> Splats:
+def project(
+    gaussians: Gaussians, camera_from_world: Tensor, settings: RasterSettings
+) -> ProjectedSplats:
     """Project, colour, cull and sort by depth."""
     with torch.no_grad():
         ids = _visible(gaussians, camera_from_world, settings)
@@ -105,7 +107,7 @@ def project(gaussians: Gaussians, camera_from_world: Tensor, settings: RasterSet
     rotation, translation = camera_from_world[:3, :3], camera_from_world[:3, 3]
     directions = torch.nn.functional.normalize(g.means + translation @ rotation, dim=-1)
     colours = (harmonics.evaluate(g.sh, directions) + 0.5).clamp(min=0)
-    return Splats(
+    return ProjectedSplats(
         ids=ids,
         means2d=image.means2d,
         conics=conics,
@@ -194,7 +196,11 @@ def _jacobian(centres: Tensor, settings: RasterSettings) -> Tensor:
 
 
 def tile(
-    splats: Splats, left: int, top: int, settings: RasterSettings, sizes: Tensor | None = None
+    splats: ProjectedSplats,
+    left: int,
+    top: int,
+    settings: RasterSettings,
+    sizes: Tensor | None = None,
 ) -> Tensor:
     """Composite one tile: (h, w, 5) with channels rgb, depth, alpha.
 

@@ -40,7 +40,7 @@ from recast.studies.results import (
     summarise,
     times_line,
 )
-from recast.studies.scene_run import Outcome, RolloutTask, Task
+from recast.studies.scene_run import GridTask, RolloutTask, SceneOutcome
 from recast.studies.schedule import SceneDesk, Schedule, Times
 from recast.studies.verdict_tables import parts_table, truth_table
 from recast.studies.verdicts import write_rows
@@ -114,7 +114,7 @@ def _make(
     schedule, times = Schedule(settings, names, desk.score), Times(out, workers)
     began = time.perf_counter()
 
-    def done(task: Task, outcome: Outcome) -> None:
+    def done(task: GridTask, outcome: SceneOutcome) -> None:
         desk.note(task, outcome)
         schedule.note(task, outcome)
         bar(schedule.done, schedule.total)

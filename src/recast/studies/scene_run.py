@@ -106,7 +106,7 @@ class SceneRun:
 
 
 @dataclass(frozen=True)
-class Task:
+class GridTask:
     """A piece of work on a scene.
 
     Attributes:
@@ -122,12 +122,12 @@ class Task:
 
 
 @dataclass(frozen=True)
-class SceneTask(Task):
+class SceneTask(GridTask):
     """From nothing to log, streets and vehicles, as far as the rollouts need them."""
 
 
 @dataclass(frozen=True)
-class RolloutTask(Task):
+class RolloutTask(GridTask):
     """One rollout of a scene that is there."""
 
     motion: str = ""
@@ -158,7 +158,7 @@ class RolloutTimes:
 
 
 @dataclass(frozen=True)
-class Outcome:
+class SceneOutcome:
     """What came of a task.
 
     Attributes:
@@ -204,7 +204,7 @@ def scene_rows(
     names: Mapping[str, str],
     metrics: Mapping[str, Any],
     used: Mapping[str, Artefact],
-    errors: Mapping[str, Outcome],
+    errors: Mapping[str, SceneOutcome],
 ) -> list[GridRow]:
     """The rows of a scene, by motion, then by planner, then by arm.
 

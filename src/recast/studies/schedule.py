@@ -24,11 +24,11 @@ from recast.runs.trust import RunTrust
 from recast.studies.grid import SCENES_FOLDER, TIMES_FILE, BenchSettings
 from recast.studies.grid_rows import GridRow
 from recast.studies.scene_run import (
-    Outcome,
+    GridTask,
     RolloutTask,
     RolloutTimes,
+    SceneOutcome,
     SceneTask,
-    Task,
     blank_row,
     open_scene,
     scene_rows,
@@ -58,7 +58,7 @@ class SceneDesk:
         self.seconds: dict[str, dict[str, float]] = {}
         """By scene, what its artefacts took, whichever grid made them."""
 
-    def note(self, task: Task, outcome: Outcome) -> None:
+    def note(self, task: GridTask, outcome: SceneOutcome) -> None:
         """Keep the traceback of a task that failed; forget that of an earlier try."""
         path = self._out / SCENES_FOLDER / f"{task.scene.id}.{FAILURE_FILE}"
         with suppress(InputError):  # the disk may be what failed
@@ -69,7 +69,7 @@ class SceneDesk:
                 path.unlink(missing_ok=True)
 
     def score(
-        self, scene_id: str, used: dict[str, str], log: str | None, errors: dict[str, Outcome]
+        self, scene_id: str, used: dict[str, str], log: str | None, errors: dict[str, SceneOutcome]
     ) -> list[GridRow]:
         """Write the run folder of a scene whose rollouts are all made; return its rows."""
         scene = next(one for one in self._settings.scenes if one.id == scene_id)
@@ -108,25 +108,27 @@ class Schedule:
         self,
         settings: BenchSettings,
         names: Mapping[str, str],
-        score: Callable[[str, dict[str, str], str | None, dict[str, Outcome]], list[GridRow]],
+        score: Callable[[str, dict[str, str], str | None, dict[str, SceneOutcome]], list[GridRow]],
     ) -> None:
         self._settings, self._names, self._score = settings, names, score
-        self._ready: deque[Task] = deque(SceneTask(scene) for scene in settings.scenes)
+        self._ready: deque[GridTask] = deque(SceneTask(scene) for scene in settings.scenes)
         run = settings.run
         arms = [arm.name for arm in run.arms]
         self._cells: list[Cell] = list(product(run.motions, run.planners, arms))
         self._used: dict[str, dict[str, str]] = {scene.id: {} for scene in settings.scenes}
-        self._errors: dict[str, dict[str, Outcome]] = {scene.id: {} for scene in settings.scenes}
+        self._errors: dict[str, dict[str, SceneOutcome]] = {
+            scene.id: {} for scene in settings.scenes
+        }
         self._left = {scene.id: len(self._cells) for scene in settings.scenes}
         self._rows: dict[str, list[GridRow]] = {}
         self.done = 0
         self.total = len(settings.scenes) * (1 + len(self._cells))
 
-    def take(self) -> Task | None:
+    def take(self) -> GridTask | None:
         """The next task, or None where there is none now."""
         return self._ready.popleft() if self._ready else None
 
-    def note(self, task: Task, outcome: Outcome) -> None:
+    def note(self, task: GridTask, outcome: SceneOutcome) -> None:
         """A task is done: what it makes possible becomes ready."""
         scene = task.scene
         self.done += 1
@@ -149,7 +151,7 @@ class Schedule:
             ]
             self._ready.extend(ready)
 
-    def needed(self, task: Task) -> tuple[str, ...]:
+    def needed(self, task: GridTask) -> tuple[str, ...]:
         """References of what the scene of a task has so far, but for rollouts."""
         used = self._used[task.scene.id].values()
         return tuple(dict.fromkeys(one for one in used if not one.startswith("rollouts/")))
@@ -158,7 +160,7 @@ class Schedule:
         """All rows in the order of the grid, once nothing is left to do."""
         return [row for scene in self._settings.scenes for row in self._rows[scene.id]]
 
-    def _failed(self, task: Task, outcome: Outcome) -> list[GridRow]:
+    def _failed(self, task: GridTask, outcome: SceneOutcome) -> list[GridRow]:
         error, reason = outcome.error or "Error", outcome.reason or ""
         return [
             blank_row(task.scene, self._settings.run, motion, self._names[planner], arm).failed(

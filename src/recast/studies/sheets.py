@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 
 from recast.arrays import Array, Image
-from recast.metrics.actor_scores import Cutout, Mask, Window
+from recast.metrics.actor_scores import Mask, ScoredCutout, Window
 
 _WIDTH, _HEIGHT = 320, 230  # pixels of a tile
 _EDGE, _TWO_LINES = 4, 40
@@ -30,11 +30,11 @@ class ComparedView:
     """
 
     caption: str
-    truth: Cutout
-    shown: Cutout
+    truth: ScoredCutout
+    shown: ScoredCutout
 
 
-def comparison_sheet(title: str, source: Cutout, views: Sequence[ComparedView]) -> Image:
+def comparison_sheet(title: str, source: ScoredCutout, views: Sequence[ComparedView]) -> Image:
     """(H, W, 3) uint8; a row for every view, the input in front of the first.
 
     Tiles show what surrounds both vehicles, before grey; the difference is the absolute one of
@@ -127,14 +127,14 @@ def tile_window(mask: Mask) -> Window:
     return Window(round(top), round(left), max(1, round(height)), max(1, round(width)))
 
 
-def tile(cutout: Cutout, window: Window) -> Image:
+def tile(cutout: ScoredCutout, window: Window) -> Image:
     """A vehicle before grey, a window of it brought to the size of a tile."""
     pixels = (cutout.within(window).before(_GREY) * 255).round().astype(np.uint8)
     way = cv2.INTER_AREA if window.width > TILE[0] else cv2.INTER_LINEAR
     return np.asarray(cv2.resize(pixels, TILE, interpolation=way), np.uint8)
 
 
-def strip(cutouts: Sequence[Cutout], windows: Sequence[Window]) -> Image:
+def strip(cutouts: Sequence[ScoredCutout], windows: Sequence[Window]) -> Image:
     """Tiles of several views side by side, a thin white line after each."""
     tiles = []
     for cutout, window in zip(cutouts, windows, strict=True):

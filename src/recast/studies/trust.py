@@ -12,9 +12,9 @@ from rich.table import Table
 from recast.core import files
 from recast.core.errors import InputError, printable
 from recast.metrics.trust import (
-    Calibration,
     JudgedRollout,
     Reliability,
+    TrustCalibration,
     calibrate,
     packaged_calibration,
     read_calibration,
@@ -114,7 +114,7 @@ def judged_rollouts(grid: Path) -> list[JudgedRollout]:
     return found
 
 
-def coefficients_table(calibration: Calibration) -> Table:
+def coefficients_table(calibration: TrustCalibration) -> Table:
     """A line for each feature: what one standard deviation of it adds to the log-odds."""
     figures = ["coefficient", "mean", "deviation", "known"]
     table = narrow_table("log-odds by feature", ["feature"], figures)

@@ -17,7 +17,7 @@ _LEFT_OUT = {"light": "relit", "refinement": "refine"}
 """Parts that an arm of its own leaves out, and the member that says so."""
 
 
-class Part(NamedTuple):
+class VerdictPart(NamedTuple):
     """Two arms that differ in one part alone.
 
     Attributes:
@@ -36,7 +36,7 @@ class PartLoss:
     """What a part costs a planner, over the scenarios that both arms have.
 
     Attributes:
-        part, arm, other: see `Part`.
+        part, arm, other: see `VerdictPart`.
         pairs, scenes: how many scenarios, and in how many scenes.
         agreeing, other_agreeing: how many verdicts of each arm are those of the truth.
         loss: share of agreeing verdicts of `arm` minus that of `other`, with its interval over
@@ -55,7 +55,7 @@ class PartLoss:
 
 
 def part_losses(
-    rows: Sequence[GridRow], truth: str, parts: Sequence[Part], samples: int, seed: int
+    rows: Sequence[GridRow], truth: str, parts: Sequence[VerdictPart], samples: int, seed: int
 ) -> list[PartLoss]:
     """A line for each planner and part with a scenario to compare.
 
@@ -98,7 +98,7 @@ def part_losses(
     return found
 
 
-def parts_of(arms: Sequence[Arm]) -> tuple[Part, ...]:
+def parts_of(arms: Sequence[Arm]) -> tuple[VerdictPart, ...]:
     """Every pair of arms that differ in one part alone, part by part.
 
     Args:
@@ -119,7 +119,9 @@ def parts_of(arms: Sequence[Arm]) -> tuple[Part, ...]:
         "no vehicle": [pair for pair in pairs if _other_vehicle(*pair, ("none",))],
     }
     return tuple(
-        Part(name, one.name, other.name) for name, both in found.items() for one, other in both
+        VerdictPart(name, one.name, other.name)
+        for name, both in found.items()
+        for one, other in both
     )
 
 

@@ -20,11 +20,11 @@ from recast.runs.sources import Sources
 from recast.simulation import Timings, error_fields
 from recast.studies.grid import BenchSettings
 from recast.studies.scene_run import (
-    Outcome,
+    GridTask,
     RolloutTask,
     RolloutTimes,
+    SceneOutcome,
     SceneRun,
-    Task,
     log_artefact,
 )
 
@@ -74,7 +74,7 @@ class BenchWorker:
         """
         return Sources.of(self._settings.run, self._settings.scenes[0].id)
 
-    def __call__(self, task: Task) -> Outcome:
+    def __call__(self, task: GridTask) -> SceneOutcome:
         """The task's outcome."""
         if self._fetch is not None:
             self._store.depot = ParcelDepot(task.tickets, self._fetch)
@@ -83,18 +83,18 @@ class BenchWorker:
         except Exception as error:
             _LOG.warning("%s of %s failed", type(task).__name__, task.scene.id, exc_info=True)
             fault = error_fields(error)
-            return Outcome(
+            return SceneOutcome(
                 error=fault["error"], reason=fault["reason"], traceback=fault["traceback"]
             )
 
-    def _do(self, task: Task, run: SceneRun) -> RolloutTimes | None:
+    def _do(self, task: GridTask, run: SceneRun) -> RolloutTimes | None:
         """Make what a task is for, on its opened scene."""
         if isinstance(task, RolloutTask):
             return self._make_rollout(task, run)
         run.prepare()
         return None
 
-    def _outcome(self, task: Task, times: RolloutTimes | None) -> Outcome:
+    def _outcome(self, task: GridTask, times: RolloutTimes | None) -> SceneOutcome:
         run = self._scene_run(task)
         used = run.artefacts.used
         parcels = {}
@@ -105,13 +105,13 @@ class BenchWorker:
                 if one.reference not in task.tickets and self._is_new(task, one)
             }
         log = None if run.log is None else run.log.reference
-        return Outcome(used=run.used(), log=log, times=times, parcels=parcels)
+        return SceneOutcome(used=run.used(), log=log, times=times, parcels=parcels)
 
-    def _is_new(self, task: Task, artefact: Artefact) -> bool:
+    def _is_new(self, task: GridTask, artefact: Artefact) -> bool:
         """A rollout's outcome brings that rollout; a scene's brings all else."""
         return (artefact.record.kind == "rollouts") == isinstance(task, RolloutTask)
 
-    def _scene_run(self, task: Task) -> SceneRun:
+    def _scene_run(self, task: GridTask) -> SceneRun:
         if self._open is None or self._open[0] != task.scene.id:
             self.close()
             log = None
@@ -163,7 +163,7 @@ class Courier:
         self._sent: dict[str, object] = {}
         self._finder = worker(Store(store.root, store.depot, only_finds=True))
 
-    def loaded(self, task: Task, names: tuple[str, ...]) -> Task:
+    def loaded(self, task: GridTask, names: tuple[str, ...]) -> GridTask:
         """The task with its log and with a ticket for every artefact that it needs.
 
         Args:
@@ -178,12 +178,12 @@ class Courier:
                 self._sent[name] = send_parcel(pack(self._store.open(name)))
         return replace(task, tickets={name: self._sent[name] for name in needed})
 
-    def found(self, task: Task) -> Outcome | None:
+    def found(self, task: GridTask) -> SceneOutcome | None:
         """The outcome of a task of which an earlier try made everything; else None."""
         outcome = self._finder(task)
         return None if outcome.error == NotInStoreError.__name__ else outcome
 
-    def unload(self, outcome: Outcome) -> None:
+    def unload(self, outcome: SceneOutcome) -> None:
         """Take what a worker made into the store."""
         for name, parcel in outcome.parcels.items():
             self._store.take(name, parcel)
@@ -192,10 +192,10 @@ class Courier:
 class TaskList(Protocol):
     """The tasks of an experiment that are ready."""
 
-    def take(self) -> Task | None:
+    def take(self) -> GridTask | None:
         """The next task, or None where there is none now."""
 
-    def needed(self, task: Task) -> tuple[str, ...]:
+    def needed(self, task: GridTask) -> tuple[str, ...]:
         """References of the artefacts that a task needs."""
 
 
@@ -223,7 +223,7 @@ class Workers:
         arguments: tuple[Any, ...],
         settings: BenchSettings,
         tasks: TaskList,
-        done: Callable[[Task, Outcome], None],
+        done: Callable[[GridTask, SceneOutcome], None],
     ) -> None:
         """Do all tasks.
 
@@ -236,7 +236,7 @@ class Workers:
         if self._place is None:
             courier = Courier(self.store, settings, lambda finds: kind(finds, *arguments, None))
 
-        def take() -> Task | None:
+        def take() -> GridTask | None:
             while (task := tasks.take()) is not None and courier is not None:
                 found = courier.found(task)
                 if found is None:

@@ -11,7 +11,7 @@ import numpy as np
 from recast.arrays import Array
 from recast.synthetic.limbs import (
     Colour,
-    Look,
+    PersonLook,
     ankle_height,
     arm,
     ball,
@@ -57,7 +57,7 @@ class Walk:
         pack: linear RGB of a backpack, None without one.
     """
 
-    look: Look
+    look: PersonLook
     pack: tuple[float, float, float] | None = None
 
     @property
@@ -145,7 +145,7 @@ class Ride:
         frame: linear RGB of the bicycle's frame.
     """
 
-    look: Look
+    look: PersonLook
     frame: Colour
 
     @property

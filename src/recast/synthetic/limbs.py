@@ -102,7 +102,7 @@ def assembled(parts: Sequence[Surface], poses: Sequence[Array], shift: Array) ->
 
 
 @dataclass(frozen=True)
-class Look:
+class PersonLook:
     """A person's size and clothes.
 
     Attributes:
@@ -120,7 +120,7 @@ class Look:
     shoes: Colour
 
 
-class Motion(Protocol):
+class LimbMotion(Protocol):
     """Parts of a body, and where they are after some metres of way."""
 
     @property
@@ -144,7 +144,7 @@ class Gait:
         middle: (3,) box centre in the body's frame.
     """
 
-    motion: Motion
+    motion: LimbMotion
     middle: Array
 
     def surface_at(self, travelled: float) -> Surface:
@@ -152,7 +152,7 @@ class Gait:
         return assembled(self.motion.parts, self.motion.poses(travelled), -self.middle)
 
 
-def moving_model(kind: str, colour: str, motion: Motion) -> VehicleModel:
+def moving_model(kind: str, colour: str, motion: LimbMotion) -> VehicleModel:
     """A model whose box holds the body at every phase and stands on the ground."""
     zero = np.zeros(3)
     bounds = [
@@ -166,38 +166,38 @@ def moving_model(kind: str, colour: str, motion: Motion) -> VehicleModel:
     return VehicleModel(kind, kind, colour, high - low, gait.surface_at(0.0), gait)
 
 
-def leg(look: Look, thigh: float, shin: float) -> tuple[Surface, Surface, Surface]:
+def leg(look: PersonLook, thigh: float, shin: float) -> tuple[Surface, Surface, Surface]:
     """A thigh and a shin in trousers, of these lengths, and a shoe."""
     upper = limb(thigh, 0.082 * look.girth, 0.058 * look.girth, look.trousers)
     lower = limb(shin, 0.058 * look.girth, 0.042 * look.girth, look.trousers)
     return upper, lower, foot(look)
 
 
-def arm(look: Look, upper: float, fore: float) -> tuple[Surface, Surface, Surface]:
+def arm(look: PersonLook, upper: float, fore: float) -> tuple[Surface, Surface, Surface]:
     """An upper arm and a forearm in sleeves, of these lengths, and a hand."""
     shoulder = limb(upper, 0.056 * look.girth, 0.044 * look.girth, look.top)
     elbow = limb(fore, 0.044 * look.girth, 0.036 * look.girth, look.top)
     return shoulder, elbow, at(ball((0.04, 0.028, 0.075), look.skin), 0.0, 0.0, -0.05)
 
 
-def foot(look: Look) -> Surface:
+def foot(look: PersonLook) -> Surface:
     """A shoe below and ahead of the ankle at the origin, its sole `ankle_height` lower."""
     size = look.height / 1.75
     shoe = ball((0.135 * size, 0.048 * size, 0.045 * size), look.shoes, "plastic")
     return at(shoe, 0.055 * size, 0.0, 0.045 * size - ankle_height(look))
 
 
-def ankle_height(look: Look) -> float:
+def ankle_height(look: PersonLook) -> float:
     """Metres from the sole to the ankle."""
     return 0.082 * look.height / 1.75
 
 
-def trunk(look: Look, length: float) -> Surface:
+def trunk(look: PersonLook, length: float) -> Surface:
     """Chest and belly from the shoulders' height at the origin down to the hips."""
     return limb(length, 0.165, 0.135, look.top, flat=0.62).scaled((look.girth, look.girth, 1.0))
 
 
-def head(look: Look) -> Surface:
+def head(look: PersonLook) -> Surface:
     """A head about the origin, with a neck below."""
     size = look.height / 1.75
     skull = ball((0.098 * size, 0.078 * size, 0.118 * size), look.skin)
@@ -205,7 +205,7 @@ def head(look: Look) -> Surface:
     return concatenate([skull, neck])
 
 
-def hair(look: Look) -> Surface:
+def hair(look: PersonLook) -> Surface:
     """A cap of hair about a head's middle."""
     size = look.height / 1.75
     cap = ball((0.1 * size, 0.086 * size, 0.11 * size), look.hair, "fabric")

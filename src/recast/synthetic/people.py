@@ -15,9 +15,9 @@ from scipy.ndimage import gaussian_filter1d
 
 from recast.arrays import Array
 from recast.synthetic.gaits import Ride, Walk
-from recast.synthetic.limbs import Look, moving_model
+from recast.synthetic.limbs import PersonLook, moving_model
 from recast.synthetic.surface import Surface
-from recast.synthetic.traffic import Placed, Scene, is_seen
+from recast.synthetic.traffic import PlacedVehicle, TrafficScene, is_seen
 from recast.synthetic.world import VehicleModel
 
 _SLICES = (0.35, 0.9, 1.5)
@@ -120,12 +120,12 @@ class PlacedPerson:
         ground: (T,) height of the ground under it.
     """
 
-    placed: Placed
+    placed: PlacedVehicle
     ground: Array
 
 
 def place_people(
-    scene: Scene, others: Sequence[Placed], rng: np.random.Generator
+    scene: TrafficScene, others: Sequence[PlacedVehicle], rng: np.random.Generator
 ) -> dict[str, PlacedPerson]:
     """Pedestrians and cyclists that the ego passes, by track id.
 
@@ -158,7 +158,7 @@ _Way = Callable[[Array, np.random.Generator], "Array | None"]
 
 
 class _Streets:
-    def __init__(self, scene: Scene) -> None:
+    def __init__(self, scene: TrafficScene) -> None:
         self._scene, self._path = scene, scene.ego.path
         self._footing = Footing(scene.street.surface)
         outlines = [shapely.Polygon(part) for part in scene.street.map.drivable_area]
@@ -210,7 +210,7 @@ class _Streets:
         return points if shapely.contains_xy(self._road, points).all() and rim.min() > 0.4 else None
 
     def person(
-        self, model: VehicleModel, points: Array, others: Sequence[Placed]
+        self, model: VehicleModel, points: Array, others: Sequence[PlacedVehicle]
     ) -> PlacedPerson | None:
         """A person on a way; None if it is blocked, touches or hides somebody, or is unseen."""
         ground = self._footing.heights(points)
@@ -220,7 +220,7 @@ class _Streets:
         poses = np.column_stack([points, np.unwrap(np.arctan2(step[:, 1], step[:, 0]))])
         if not is_seen(poses, self._scene.ego.poses, *_SEEN):
             return None
-        placed = Placed(model, poses)
+        placed = PlacedVehicle(model, poses)
         if not self._scene.fits(placed, others, _OTHERS_ROOM):
             return None
         return PlacedPerson(placed, gaussian_filter1d(ground, _KERB_STEPS, mode="nearest"))
@@ -267,9 +267,9 @@ def sample_cyclist(rng: np.random.Generator) -> VehicleModel:
     return moving_model("cyclist", name, Ride(look, _CLOTHES[_pick(tuple(_CLOTHES), rng)]))
 
 
-def _look(height: float, rng: np.random.Generator) -> tuple[str, Look]:
+def _look(height: float, rng: np.random.Generator) -> tuple[str, PersonLook]:
     name = _pick(tuple(_CLOTHES), rng)
-    look = Look(
+    look = PersonLook(
         height=float(height),
         girth=float(rng.uniform(0.85, 1.25) * height / 1.75),
         skin=_SKIN[int(rng.integers(len(_SKIN)))],

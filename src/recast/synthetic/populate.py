@@ -21,8 +21,8 @@ from recast.synthetic.streets import SCENES, make_street
 from recast.synthetic.traffic import (
     MANNERS,
     TARGET_KINDS,
-    Placed,
-    Scene,
+    PlacedVehicle,
+    TrafficScene,
     near_spots,
     target_drive,
     try_driving,
@@ -96,8 +96,8 @@ def populate(street: Street, name: str, seed: int, seconds: float, people: bool 
     kind = TARGET_KINDS[int(rng.integers(len(TARGET_KINDS)))]
     model = sample_vehicle(rng, kind)
     driven = target_drive(street.map, ego, MANNERS.get(street.kind, "leading"), rng)
-    target = Placed(model, driven.poses(float(model.size[0])))
-    scene = Scene(street, ego, target)
+    target = PlacedVehicle(model, driven.poses(float(model.size[0])))
+    scene = TrafficScene(street, ego, target)
     moving = _driving(scene, name, seed)
     parked = _parked(scene, moving, name, seed)
 
@@ -163,10 +163,10 @@ def world_of(log: DrivingLog) -> World:
     return make_world(name, seed, seconds, light, people)
 
 
-def _driving(scene: Scene, name: str, seed: int) -> list[Placed]:
+def _driving(scene: TrafficScene, name: str, seed: int) -> list[PlacedVehicle]:
     rng = _generator(name, seed, _DRIVING)
     wanted = int(rng.integers(_DRIVING_LEAST, _DRIVING_MOST + 1))
-    moving: list[Placed] = []
+    moving: list[PlacedVehicle] = []
     for number in range(wanted):
         model = sample_vehicle(_generator(name, seed, _DRIVING, number))
         for _ in range(_TRIES):
@@ -177,9 +177,11 @@ def _driving(scene: Scene, name: str, seed: int) -> list[Placed]:
     return moving
 
 
-def _parked(scene: Scene, moving: list[Placed], name: str, seed: int) -> list[Placed]:
+def _parked(
+    scene: TrafficScene, moving: list[PlacedVehicle], name: str, seed: int
+) -> list[PlacedVehicle]:
     rng = _generator(name, seed, _PARKED)
-    parked: list[Placed] = []
+    parked: list[PlacedVehicle] = []
     for number, spot in enumerate(near_spots(scene)):
         taken, kind = rng.uniform() < _PARKED_SHARE, int(rng.integers(len(_PARKED_KINDS)))
         if not taken or len(parked) >= _PARKED_MOST:
@@ -192,7 +194,7 @@ def _parked(scene: Scene, moving: list[Placed], name: str, seed: int) -> list[Pl
 
 
 def _vehicle(
-    track_id: str, placed: Placed, parked: bool, times: Array, ground: Array | float = 0.0
+    track_id: str, placed: PlacedVehicle, parked: bool, times: Array, ground: Array | float = 0.0
 ) -> Vehicle:
     poses = se2.to_se3(placed.poses, ground + placed.model.size[2] / 2)
     return Vehicle(track_id, placed.model, Trajectory(_stamps(times), poses), parked)

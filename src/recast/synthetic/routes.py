@@ -43,7 +43,7 @@ _ROAD_AHEAD = 60.0
 
 
 @dataclass(frozen=True)
-class LanePath:
+class RoutePath:
     """A path with continuous heading and curvature.
 
     Attributes:
@@ -55,7 +55,7 @@ class LanePath:
     line: Polyline
 
     @classmethod
-    def along(cls, street_map: HdMap, lanes: Sequence[str]) -> LanePath:
+    def along(cls, street_map: HdMap, lanes: Sequence[str]) -> RoutePath:
         """The rounded centreline of successive lanes.
 
         Raises:
@@ -173,7 +173,7 @@ def _length(street_map: HdMap, lane: str) -> float:
 
 def _turn(street_map: HdMap, lane: str) -> float:
     """How much a lane bends from its start to its end, radians, to the nearest degree."""
-    path = LanePath.along(street_map, [lane])
+    path = RoutePath.along(street_map, [lane])
     turn = se2.wrap_angle(path.heading(path.length) - path.heading(0.0))
     return round(abs(float(np.rad2deg(turn))))
 
@@ -214,7 +214,7 @@ class SpeedProfile:
         return reached + np.maximum(times - clock[-1], 0.0) * self.speed[-1]
 
 
-def speed_profile(path: LanePath, cruise: float, rng: np.random.Generator) -> SpeedProfile:
+def speed_profile(path: RoutePath, cruise: float, rng: np.random.Generator) -> SpeedProfile:
     """A profile with lateral acceleration within 2 m/s^2 and gentle braking ahead of bends.
 
     Args:
@@ -245,7 +245,7 @@ class EgoDrive:
         seconds: (T,) times of the log's poses.
     """
 
-    path: LanePath
+    path: RoutePath
     profile: SpeedProfile
     start: float
     seconds: Array
@@ -282,7 +282,7 @@ def ego_drive(street: Street, seconds: Array, rng: np.random.Generator) -> EgoDr
     Raises:
         InputError: the street is too short for the drive.
     """
-    path = LanePath.along(street.map, extended_route(street.map, street.ego_route))
+    path = RoutePath.along(street.map, extended_route(street.map, street.ego_route))
     profile = speed_profile(path, street.ego_speed, rng)
     first = street.map.lanes[street.ego_route[0]].centreline[0, :2]
     start = float(path.line.to_frenet(first)[0]) + EGO_START

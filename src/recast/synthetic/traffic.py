@@ -18,7 +18,7 @@ from recast.synthetic.routes import (
     EGO_LENGTH,
     EGO_WIDTH,
     EgoDrive,
-    LanePath,
+    RoutePath,
     SpeedProfile,
     beside,
     random_route,
@@ -71,7 +71,7 @@ class TargetDrive:
     """
 
     manner: Manner
-    path: LanePath
+    path: RoutePath
     place: Array
 
     def poses(self, length: float) -> Array:
@@ -96,7 +96,7 @@ def target_drive(
         lanes = beside(street_map, ego.path.lanes, side)
         if lanes is None:
             continue
-        path = LanePath.along(street_map, lanes)
+        path = RoutePath.along(street_map, lanes)
         place = _in_next_lane(path, ego, manner)
         if place is not None:
             return TargetDrive(manner, path, place)
@@ -114,7 +114,7 @@ def _leading(ego: EgoDrive, rng: np.random.Generator) -> Array:
         lead += 0.05
 
 
-def _in_next_lane(path: LanePath, ego: EgoDrive, manner: Manner) -> Array | None:
+def _in_next_lane(path: RoutePath, ego: EgoDrive, manner: Manner) -> Array | None:
     """Places on the lane beside the ego's, or None where that lane is too short."""
     seconds = ego.seconds
     change = min(_FAR - _NEAR, _RELATIVE_SPEED * float(seconds[-1]))
@@ -135,7 +135,7 @@ def _in_next_lane(path: LanePath, ego: EgoDrive, manner: Manner) -> Array | None
 
 
 @dataclass(frozen=True)
-class Placed:
+class PlacedVehicle:
     """A vehicle with its poses.
 
     Attributes:
@@ -148,7 +148,7 @@ class Placed:
 
 
 @dataclass(frozen=True)
-class Scene:
+class TrafficScene:
     """What a new vehicle has to get on with.
 
     Attributes:
@@ -159,9 +159,9 @@ class Scene:
 
     street: Street
     ego: EgoDrive
-    target: Placed
+    target: PlacedVehicle
 
-    def fits(self, new: Placed, others: Sequence[Placed], margin: float) -> bool:
+    def fits(self, new: PlacedVehicle, others: Sequence[PlacedVehicle], margin: float) -> bool:
         """Whether `new` touches nobody and hides nothing of the target."""
         size = new.model.size
         footprints = [(self.ego.outline, np.array([EGO_LENGTH + _AHEAD_MARGIN, EGO_WIDTH]))]
@@ -176,17 +176,20 @@ class Scene:
 
 
 def try_driving(
-    scene: Scene, model: VehicleModel, others: Sequence[Placed], rng: np.random.Generator
-) -> Placed | None:
+    scene: TrafficScene,
+    model: VehicleModel,
+    others: Sequence[PlacedVehicle],
+    rng: np.random.Generator,
+) -> PlacedVehicle | None:
     """A random drive for `model`, or None where the one drawn is not possible or never seen."""
     lanes = scene.street.map.lanes
     first = sorted(lanes)[int(rng.integers(len(lanes)))]
     seconds = scene.ego.seconds
     reach = 1.2 * scene.street.ego_speed * float(seconds[-1]) + 40.0
     route = random_route(scene.street.map, first, reach, rng)
-    path = LanePath.along(scene.street.map, route)
+    path = RoutePath.along(scene.street.map, route)
     half = float(model.size[0]) / 2
-    first_length = LanePath.along(scene.street.map, [first]).length
+    first_length = RoutePath.along(scene.street.map, [first]).length
     start = half + rng.uniform() * max(first_length - 2 * half, 0.0)
     profile = speed_profile(path, scene.street.ego_speed * rng.uniform(*_SPEED_SHARE), rng)
     if _crosses(path, scene.ego.path):
@@ -200,23 +203,23 @@ def try_driving(
     mean_speed = float(place[-1] - place[0]) / float(seconds[-1])
     longer = model.size + np.array([2 * _AHEAD_SECONDS * mean_speed, 0.0, 0.0])
     spacious = VehicleModel(model.kind, model.category, model.colour, longer, model.surface)
-    if not scene.fits(Placed(spacious, poses), others, _DRIVING_MARGIN):
+    if not scene.fits(PlacedVehicle(spacious, poses), others, _DRIVING_MARGIN):
         return None
-    return Placed(model, poses)
+    return PlacedVehicle(model, poses)
 
 
 def try_parking(
-    scene: Scene, spot: ParkingSpot, model: VehicleModel, others: Sequence[Placed]
-) -> Placed | None:
+    scene: TrafficScene, spot: ParkingSpot, model: VehicleModel, others: Sequence[PlacedVehicle]
+) -> PlacedVehicle | None:
     """`model` parked at `spot`, or None where it does not fit."""
     if model.size[0] > spot.length - _TIGHT:
         return None
     pose = np.array([spot.x, spot.y, spot.heading])
-    placed = Placed(model, np.repeat(pose[None], len(scene.ego.seconds), axis=0))
+    placed = PlacedVehicle(model, np.repeat(pose[None], len(scene.ego.seconds), axis=0))
     return placed if scene.fits(placed, others, _PARKED_MARGIN) else None
 
 
-def near_spots(scene: Scene) -> list[ParkingSpot]:
+def near_spots(scene: TrafficScene) -> list[ParkingSpot]:
     """Parking spots near what the ego drives along, nearest to its start first."""
     drive = scene.ego
     s = np.linspace(drive.place(0.0) - 15.0, drive.place(drive.seconds[-1]) + 40.0, 200)
@@ -230,12 +233,12 @@ def near_spots(scene: Scene) -> list[ParkingSpot]:
 
 
 def _follow(
-    path: LanePath,
+    path: RoutePath,
     profile: SpeedProfile,
     start: float,
     model: VehicleModel,
-    scene: Scene,
-    others: Sequence[Placed],
+    scene: TrafficScene,
+    others: Sequence[PlacedVehicle],
 ) -> Array:
     """Places (T,) of a driver who keeps behind whoever is ahead on `path` (IDM)."""
     seconds = scene.ego.seconds
@@ -266,7 +269,7 @@ def _follow(
     return place
 
 
-def _crosses(path: LanePath, other: LanePath) -> bool:
+def _crosses(path: RoutePath, other: RoutePath) -> bool:
     """Whether a path cuts another at an angle: traffic there would have to give way."""
     s = np.arange(0.0, path.length, 1.0)
     points = path.position(s)

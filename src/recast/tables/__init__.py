@@ -1,6 +1,6 @@
 """Tables of foreign Arrow files: bytes in, checked columns out.
 
-`read_feather` and `read_parquet` return a `Table`, whose methods give columns as numpy arrays;
+`read_feather` and `read_parquet` return a `ArrowTable`, whose methods give columns as numpy arrays;
 `ParquetRows` streams a parquet file that is too large for memory; `check_batches` checks an Arrow
 file that another library is about to read. For each of them holds:
 
@@ -12,14 +12,14 @@ file that another library is about to read. For each of them holds:
 `read_npy` and `read_npz` do the same for arrays of numpy.
 """
 
-from recast.tables.arrow import ROW_LIMIT, Table, check_batches, read_feather
+from recast.tables.arrow import ROW_LIMIT, ArrowTable, check_batches, read_feather
 from recast.tables.npy import npz_array, npz_names, open_npz, read_npy, read_npz
 from recast.tables.parquet import ParquetRows, read_parquet, write_parquet
 
 __all__ = [
     "ROW_LIMIT",
+    "ArrowTable",
     "ParquetRows",
-    "Table",
     "check_batches",
     "npz_array",
     "npz_names",

@@ -35,7 +35,7 @@ _DICTIONARY, _BATCH = 2, 3  # of the union MessageHeader
 
 
 @dataclass(frozen=True)
-class Table:
+class ArrowTable:
     """Some columns of a file, validated in full by Arrow.
 
     Attributes:
@@ -203,7 +203,7 @@ def _name(kind: pa.DataType) -> str:
     return text if len(text) <= 40 else text[:37] + "..."
 
 
-def read_feather(path: Path, columns: Sequence[str], mend: str) -> Table:
+def read_feather(path: Path, columns: Sequence[str], mend: str) -> ArrowTable:
     """Columns of a feather file of version 2; others that it has are not decoded.
 
     Args:
@@ -231,7 +231,7 @@ def read_feather(path: Path, columns: Sequence[str], mend: str) -> Table:
         options = ipc.IpcReadOptions(use_threads=False, included_fields=wanted)
         table = ipc.open_file(buffer, options=options).read_all()
         table.validate(full=True)
-    return Table(path, mend, table)
+    return ArrowTable(path, mend, table)
 
 
 def check_batches(path: Path, mend: str, limit: int) -> None:

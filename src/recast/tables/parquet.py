@@ -19,7 +19,7 @@ import pyarrow.parquet as pq
 
 from recast.core.errors import InputError
 from recast.core.files import atomic_file
-from recast.tables.arrow import ROW_LIMIT, Table, arrow_errors, require_plain
+from recast.tables.arrow import ROW_LIMIT, ArrowTable, arrow_errors, require_plain
 from recast.tables.encodings import Compact
 
 FOOTER_LIMIT = 1 << 20
@@ -48,7 +48,7 @@ _ROWS_AT_ONCE = 1024
 
 def read_parquet(
     path: Path, columns: Sequence[str], mend: str, limit: int = PARQUET_LIMIT
-) -> Table:
+) -> ArrowTable:
     """Columns of a parquet file; others that it has are not decoded.
 
     Args:
@@ -72,7 +72,7 @@ def read_parquet(
             if size > limit:
                 problem = f"has {count} rows of more than {limit} bytes in memory"
                 raise InputError(path, "parquet table", problem, mend)
-    return Table(Path(path), mend, pa.Table.from_batches(batches, rows.schema))
+    return ArrowTable(Path(path), mend, pa.Table.from_batches(batches, rows.schema))
 
 
 def write_parquet(path: Path, table: pa.Table) -> None:

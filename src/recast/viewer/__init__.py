@@ -9,24 +9,31 @@ from recast.viewer.drives import (
     scene_drive,
     still,
 )
-from recast.viewer.inputs import Drive, Event, Film, Mounted, Runner, ViewInputs
+from recast.viewer.inputs import (
+    CameraImages,
+    MountedCamera,
+    Runner,
+    ViewedDrive,
+    ViewerEvent,
+    ViewInputs,
+)
 from recast.viewer.page import MOST_GAUSSIANS, Page, require_viser
 from recast.viewer.replay import REPLAY_MB, ReplaySize, write_replay
 
 __all__ = [
     "MOST_GAUSSIANS",
     "REPLAY_MB",
-    "Drive",
-    "Event",
-    "Film",
+    "CameraImages",
     "FilmFile",
     "FilmFrames",
     "LogFilm",
-    "Mounted",
+    "MountedCamera",
     "Page",
     "ReplaySize",
     "Runner",
     "ViewInputs",
+    "ViewedDrive",
+    "ViewerEvent",
     "recording",
     "require_viser",
     "rollout_drive",

@@ -35,7 +35,7 @@ _RAISED = 0.06  # metres above the ground, so that splats of the road do not hid
 
 
 @dataclass(frozen=True)
-class Splats:
+class BakedSplats:
     """N Gaussians with constant colours.
 
     Attributes:
@@ -54,7 +54,7 @@ class Splats:
         return len(self.centres)
 
 
-def baked(gaussians: Gaussians, eyes: Tensor) -> Splats:
+def baked(gaussians: Gaussians, eyes: Tensor) -> BakedSplats:
     """Gaussians with the colour that they have in the mean direction from which `eyes` see them.
 
     Standard deviations above `LARGEST_SIGMA` are cut to it.
@@ -68,7 +68,7 @@ def baked(gaussians: Gaussians, eyes: Tensor) -> Splats:
         colours = (evaluate(gaussians.sh, directions) + 0.5).clamp(0, 1)
         sigmas = gaussians.log_scales.exp().clamp(max=LARGEST_SIGMA)
         axes = quat_to_matrix(gaussians.quats) * sigmas[:, None, :]
-        return Splats(
+        return BakedSplats(
             centres=gaussians.means.float().numpy(),
             covariances=(axes @ axes.transpose(1, 2)).float().numpy(),
             colours=colours.float().numpy(),
@@ -136,7 +136,7 @@ def most_important(values: Sequence[Array], most: int) -> list[NDArray[np.int64]
 
 def sky_dome(
     sky: SkyMap, middle: Array, radius: float = SKY_RADIUS, count: int = SKY_DISCS
-) -> Splats:
+) -> BakedSplats:
     """Opaque discs on a sphere, in the colours of a sky map.
 
     Args:
@@ -154,7 +154,7 @@ def sky_dome(
     covariances = (_OVERLAP * spacing) ** 2 * (np.eye(3) - normals) + normals
     with torch.no_grad():
         colours = sky(torch.from_numpy(directions).float()).numpy()
-    return Splats(
+    return BakedSplats(
         centres=(middle + radius * directions).astype(np.float32),
         covariances=covariances.astype(np.float32),
         colours=colours.astype(np.float32),

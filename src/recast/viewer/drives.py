@@ -25,7 +25,7 @@ from recast.metrics.route import drivable_area_compliance
 from recast.reporting.video import iterate_video
 from recast.scene import SceneActor, StreetScene
 from recast.simulation import Rollout
-from recast.viewer.inputs import Drive, Event, Film, Mounted
+from recast.viewer.inputs import CameraImages, MountedCamera, ViewedDrive, ViewerEvent
 
 WIDEST = 480
 """Pixels; larger pictures are scaled down before they are sent."""
@@ -36,14 +36,16 @@ _EGO_HEIGHT = 1.6  # metres; a log does not say
 _ABOVE_ROAD = 0.3  # metres, at which paths are drawn
 
 
-def mounted(camera: PinholeCamera, rig_from_camera: Array, film: Film | None = None) -> Mounted:
+def mounted(
+    camera: PinholeCamera, rig_from_camera: Array, film: CameraImages | None = None
+) -> MountedCamera:
     """A camera on the rig with what it saw."""
     fov = 2 * math.atan(camera.height / 2 / camera.fy)
     aspect = camera.width / camera.fx * camera.fy / camera.height
-    return Mounted(rig_from_camera, fov, aspect, film)
+    return MountedCamera(rig_from_camera, fov, aspect, film)
 
 
-def recording(log: DrivingLog) -> Drive:
+def recording(log: DrivingLog) -> ViewedDrive:
     """The drive as recorded, with all tracks and the images of all cameras."""
     first, last = (int(time) for time in log.world_from_rig.timestamps_us[[0, -1]])
     times = np.arange(first, last + 1, round(DT * 1e6))
@@ -51,7 +53,7 @@ def recording(log: DrivingLog) -> Drive:
         name: mounted(stream.camera, stream.rig_from_camera, LogFilm(stream, times))
         for name, stream in log.cameras.items()
     }
-    return Drive(
+    return ViewedDrive(
         dt=DT,
         times_us=times,
         rig=log.world_from_rig.at(times),
@@ -63,13 +65,13 @@ def recording(log: DrivingLog) -> Drive:
     )
 
 
-def scene_drive(scene: StreetScene) -> Drive:
+def scene_drive(scene: StreetScene) -> ViewedDrive:
     """The actors of a scene on their recorded ways, without an ego."""
     ends = [actor.trajectory.timestamps_us[[0, -1]] for actor in scene.actors.values()]
     first = min((int(end[0]) for end in ends), default=0)
     last = max((int(end[1]) for end in ends), default=0)
     times = np.arange(first, last + 1, round(DT * 1e6))
-    return Drive(
+    return ViewedDrive(
         dt=DT,
         times_us=times,
         rig=None,
@@ -78,11 +80,11 @@ def scene_drive(scene: StreetScene) -> Drive:
     )
 
 
-def still(actor: SceneActor) -> Drive:
+def still(actor: SceneActor) -> ViewedDrive:
     """One actor standing at the origin, its wheels on z = 0."""
     pose = np.eye(4)
     pose[2, 3] = actor.size[2] / 2
-    return Drive(
+    return ViewedDrive(
         dt=DT,
         times_us=np.zeros(1, np.int64),
         rig=None,
@@ -97,8 +99,8 @@ def rollout_drive(
     log: DrivingLog,
     hdmap: HdMap | None,
     mounts: Mapping[str, CameraMount],
-    films: Mapping[str, Film],
-) -> Drive:
+    films: Mapping[str, CameraImages],
+) -> ViewedDrive:
     """A rollout with its plans and the moments that matter.
 
     Args:
@@ -115,7 +117,7 @@ def rollout_drive(
     poses[rollout.track_id], sizes[rollout.track_id] = rollout.world_from_actor, rollout.actor_size
     for one in rollout.controlled:
         poses[one.track_id], sizes[one.track_id] = one.world_from_actor, one.size
-    return Drive(
+    return ViewedDrive(
         dt=rollout.dt,
         times_us=times,
         rig=rollout.world_from_rig,
@@ -147,23 +149,23 @@ def plan_lines(rollout: Rollout) -> tuple[tuple[int, Array], ...]:
     return tuple(lines)
 
 
-def rollout_events(rollout: Rollout, hdmap: HdMap | None) -> tuple[Event, ...]:
+def rollout_events(rollout: Rollout, hdmap: HdMap | None) -> tuple[ViewerEvent, ...]:
     """Contact, departure from the road, each plan, and the end; in order of time."""
-    found = [Event("start", 0)]
+    found = [ViewerEvent("start", 0)]
     contact = any_collision(list(rollout_collisions(rollout).values())).first_step
     if contact is not None:
-        found.append(Event("contact", contact))
+        found.append(ViewerEvent("contact", contact))
     departure = drivable_area_compliance(
         rollout.ego_boxes, rollout.ego_size, drivable_region(hdmap), rollout.dt
     ).first_step
     if departure is not None:
-        found.append(Event("off the road", departure))
+        found.append(ViewerEvent("off the road", departure))
     found += [
-        Event(f"plan {number}", step)
+        ViewerEvent(f"plan {number}", step)
         for number, step in enumerate(rollout.plan_steps.tolist(), start=1)
     ]
     ending = "end" if rollout.cut_reason is None else f"end: {rollout.cut_reason}"
-    found.append(Event(ending, rollout.steps_run))
+    found.append(ViewerEvent(ending, rollout.steps_run))
     return tuple(sorted(found, key=lambda event: event.step))
 
 

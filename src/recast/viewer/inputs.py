@@ -17,7 +17,7 @@ from recast.scene import StreetScene
 from recast.simulation import ScriptedMotion
 
 
-class Film(Protocol):
+class CameraImages(Protocol):
     """Pictures of one camera, by step of a drive."""
 
     def __len__(self) -> int:
@@ -28,7 +28,7 @@ class Film(Protocol):
 
 
 @dataclass(frozen=True)
-class Mounted:
+class MountedCamera:
     """A camera on the rig.
 
     Attributes:
@@ -41,11 +41,11 @@ class Mounted:
     rig_from_camera: Array
     fov: float
     aspect: float
-    film: Film | None = None
+    film: CameraImages | None = None
 
 
 @dataclass(frozen=True)
-class Event:
+class ViewerEvent:
     """A moment worth going to: what happened, and at which step."""
 
     label: str
@@ -53,7 +53,7 @@ class Event:
 
 
 @dataclass(frozen=True)
-class Drive:
+class ViewedDrive:
     """How the ego and all others move, in T steps.
 
     Attributes:
@@ -81,8 +81,8 @@ class Drive:
     ego_offset: float = 1.4
     logged: Array | None = None
     plans: tuple[tuple[int, Array], ...] = ()
-    events: tuple[Event, ...] = ()
-    cameras: Mapping[str, Mounted] = field(default_factory=dict)
+    events: tuple[ViewerEvent, ...] = ()
+    cameras: Mapping[str, MountedCamera] = field(default_factory=dict)
 
     def __len__(self) -> int:
         return len(self.times_us)
@@ -113,7 +113,7 @@ class Runner:
     motions: Mapping[str, ScriptedMotion]
     planners: tuple[str, ...]
     steps: int
-    run: Callable[[ScriptedMotion, str, str, Progress], Drive]
+    run: Callable[[ScriptedMotion, str, str, Progress], ViewedDrive]
 
 
 @dataclass(frozen=True)
@@ -132,13 +132,13 @@ class ViewInputs:
 
     title: str
     scenes: Mapping[str, StreetScene | None]
-    scenarios: Mapping[str, Mapping[str, Drive]]
+    scenarios: Mapping[str, Mapping[str, ViewedDrive]]
     log: DrivingLog | None = None
     hdmap: HdMap | None = None
     actors: Mapping[str, Mapping[str, Actor]] = field(default_factory=dict)
     runner: Runner | None = None
 
     @property
-    def drives(self) -> list[Drive]:
+    def drives(self) -> list[ViewedDrive]:
         """All drives, scenario by scenario."""
         return [drive for arms in self.scenarios.values() for drive in arms.values()]

@@ -20,7 +20,7 @@ from recast.viewer.panel_play import PlayPanel, first_look, open_at
 from recast.viewer.panel_run import RunPanel
 from recast.viewer.panel_track import TrackPanel, escaped
 from recast.viewer.playback import Change, Playback
-from recast.viewer.stage import Stage
+from recast.viewer.stage import ViewerStage
 
 if TYPE_CHECKING:
     import viser
@@ -66,7 +66,7 @@ class Page:
         self._tracks: TrackPanel | None = None
         self._pictures_at = 0.0
         self._over = Event()
-        self.stage = Stage(
+        self.stage = ViewerStage(
             self.server, self.playback.inputs, most, [self.playback.arm], on_click=self._clicked
         )
         self.pruned = _share(self.stage.splats.kept, self.stage.splats.total)

@@ -17,9 +17,9 @@ from recast.arrays import Array, Image
 from recast.cameras import PinholeCamera
 from recast.geometry import se3
 from recast.scene import SceneRasterizer, StreetScene
-from recast.viewer.inputs import Drive
+from recast.viewer.inputs import ViewedDrive
 from recast.viewer.playback import Change, Playback
-from recast.viewer.stage import LAYERS, Stage
+from recast.viewer.stage import LAYERS, ViewerStage
 
 if TYPE_CHECKING:
     import viser
@@ -39,7 +39,7 @@ _LOOK_EVERY = 0.1
 class LayersPanel:
     """A checkbox for each layer."""
 
-    def __init__(self, server: viser.ViserServer, playback: Playback, stage: Stage) -> None:
+    def __init__(self, server: viser.ViserServer, playback: Playback, stage: ViewerStage) -> None:
         for layer in LAYERS:
             box = server.gui.add_checkbox(
                 layer.capitalize() if layer.islower() else layer, layer in stage.layers
@@ -99,7 +99,7 @@ class ComparePanel:
             pane.image = _NOTHING if drive is None else _picture(drive, self._camera.value, step)
 
 
-def _picture(drive: Drive, camera: str, step: int) -> NDArray[np.uint8]:
+def _picture(drive: ViewedDrive, camera: str, step: int) -> NDArray[np.uint8]:
     mount = drive.cameras.get(camera)
     if mount is None or mount.film is None or len(mount.film) == 0:
         return _NOTHING
@@ -144,7 +144,7 @@ class ExactView:
         """Whether an arm has something to draw."""
         return self._scenes.get(arm) is not None
 
-    def picture(self, arm: str, drive: Drive, step: int, browser: Browser) -> Image:
+    def picture(self, arm: str, drive: ViewedDrive, step: int, browser: Browser) -> Image:
         """The scene of an arm (H, W, 3) RGB at a step of a drive, as a browser sees it.
 
         Raises:

@@ -9,7 +9,7 @@ import numpy as np
 
 from recast.arrays import Array
 from recast.geometry import se3
-from recast.viewer.inputs import Drive
+from recast.viewer.inputs import ViewedDrive
 from recast.viewer.playback import Change, Playback
 
 if TYPE_CHECKING:
@@ -26,7 +26,7 @@ _SPEEDS = ("0.1", "0.25", "0.5", "1", "2", "4")
 
 
 @dataclass(frozen=True)
-class Look:
+class PlayLook:
     """A level camera.
 
     Attributes:
@@ -39,7 +39,7 @@ class Look:
     fov: float = float(_FOV)
 
 
-def look_names(drive: Drive) -> tuple[str, ...]:
+def look_names(drive: ViewedDrive) -> tuple[str, ...]:
     """Names of the places that a drive has."""
     names = []
     if drive.rig is not None:
@@ -49,7 +49,7 @@ def look_names(drive: Drive) -> tuple[str, ...]:
     return (*names, ABOVE, *drive.cameras)
 
 
-def look(drive: Drive, name: str, step: int) -> Look:
+def look(drive: ViewedDrive, name: str, step: int) -> PlayLook:
     """A camera by name at a step.
 
     Raises:
@@ -61,14 +61,14 @@ def look(drive: Drive, name: str, step: int) -> Look:
         return beside(drive, drive.controlled[0], step)
     if name == ABOVE:
         middle = _middle(drive, step)
-        return Look(middle + np.array([-12.0, 0.0, 32.0]), middle + np.array([4.0, 0.0, 0.0]))
+        return PlayLook(middle + np.array([-12.0, 0.0, 32.0]), middle + np.array([4.0, 0.0, 0.0]))
     mount = drive.cameras[name]
     assert drive.rig is not None  # cameras are on a rig
     pose = drive.rig[step] @ mount.rig_from_camera
-    return Look(pose[:3, 3], pose[:3, 3] + 10 * pose[:3, 2], mount.fov)
+    return PlayLook(pose[:3, 3], pose[:3, 3] + 10 * pose[:3, 2], mount.fov)
 
 
-def beside(drive: Drive, track: str, step: int) -> Look:
+def beside(drive: ViewedDrive, track: str, step: int) -> PlayLook:
     """A look at a track from ahead of it and to its left; from where it first is, before that."""
     poses = drive.poses[track]
     there = np.flatnonzero(~np.isnan(poses[:, 0, 0]))
@@ -77,13 +77,13 @@ def beside(drive: Drive, track: str, step: int) -> Look:
     return _from(pose, (1.1 * reach, 1.1 * reach, 0.45 * reach), (0.0, 0.0, 0.0))
 
 
-def first_look(drive: Drive) -> Look:
+def first_look(drive: ViewedDrive) -> PlayLook:
     """What is seen when the page opens."""
     name = next(iter(look_names(drive)))
     return look(drive, name, 0)
 
 
-def overview(drive: Drive) -> Look:
+def overview(drive: ViewedDrive) -> PlayLook:
     """A look over all of a drive's first seconds from behind, for who cannot ride along."""
     if drive.rig is None:
         return first_look(drive)
@@ -91,7 +91,7 @@ def overview(drive: Drive) -> Look:
     return _from(middle, (-20.0, 0.0, 8.0), (14.0, 0.0, 0.0))
 
 
-def _middle(drive: Drive, step: int) -> Array:
+def _middle(drive: ViewedDrive, step: int) -> Array:
     if drive.rig is not None:
         return np.asarray(drive.rig[step][:3, 3], np.float64)
     poses = drive.at(step) or {key: p[~np.isnan(p[:, 0, 0])][0] for key, p in drive.poses.items()}
@@ -99,9 +99,9 @@ def _middle(drive: Drive, step: int) -> Array:
     return np.mean(places, axis=0) if places else np.zeros(3)
 
 
-def _from(pose: Array, eye: tuple[float, ...], target: tuple[float, ...]) -> Look:
+def _from(pose: Array, eye: tuple[float, ...], target: tuple[float, ...]) -> PlayLook:
     found = se3.apply(pose, np.array([eye, target]))
-    return Look(found[0], found[1])
+    return PlayLook(found[0], found[1])
 
 
 class PlayPanel:
@@ -194,7 +194,7 @@ class PlayPanel:
                 aim(clients[number], look(drive, name, self._playback.step))
 
 
-def aim(client: viser.ClientHandle, where: Look) -> None:
+def aim(client: viser.ClientHandle, where: PlayLook) -> None:
     """Put a window's camera somewhere."""
     with client.atomic():
         client.camera.position = where.eye
@@ -202,16 +202,16 @@ def aim(client: viser.ClientHandle, where: Look) -> None:
         client.camera.fov = where.fov
 
 
-def open_at(server: viser.ViserServer, where: Look) -> None:
+def open_at(server: viser.ViserServer, where: PlayLook) -> None:
     """Have windows begin with a look."""
     server.initial_camera.position = where.eye
     server.initial_camera.look_at = where.target
     server.initial_camera.fov = where.fov
 
 
-def _last(drive: Drive) -> int:
+def _last(drive: ViewedDrive) -> int:
     return max(len(drive) - 1, 1)
 
 
-def _events(drive: Drive) -> tuple[str, ...]:
+def _events(drive: ViewedDrive) -> tuple[str, ...]:
     return tuple(f"{e.step * drive.dt:.1f} s: {e.label}" for e in drive.events) or (_FREE,)

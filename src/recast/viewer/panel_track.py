@@ -28,7 +28,7 @@ _MOST_KEPT = 64
 
 
 @dataclass(frozen=True)
-class Evidence:
+class TrackEvidence:
     """What is known of a track.
 
     Attributes:
@@ -41,14 +41,14 @@ class Evidence:
     crops: tuple[tuple[str, Image], ...] = ()
 
 
-def track_evidence(log: DrivingLog, track_id: str, actor: Actor | None = None) -> Evidence:
+def track_evidence(log: DrivingLog, track_id: str, actor: Actor | None = None) -> TrackEvidence:
     """Gather what a log has seen of a track, and what an actor in its place was made from.
 
     Args:
         actor: the vehicle that stands in its place; None for none.
     """
     if track_id not in log.tracks:
-        return Evidence((f"track {track_id} is not in the log",))
+        return TrackEvidence((f"track {track_id} is not in the log",))
     track = log.tracks[track_id]
     times = track.trajectory.timestamps_us
     length, width, height = track.size.tolist()
@@ -61,12 +61,12 @@ def track_evidence(log: DrivingLog, track_id: str, actor: Actor | None = None) -
     try:
         found = observe(log, track_id, segmenter=BoxLidarSegmenter(), views=VIEWS)
     except InputError as error:
-        return Evidence((*lines, f"no view could be cut out: {error.problem}"))
+        return TrackEvidence((*lines, f"no view could be cut out: {error.problem}"))
     lines += found.explain().splitlines()
     crops = tuple(
         (f"{one.view.camera}, frame {one.view.frame}", faded(one.rgba)) for one in found.views
     )
-    return Evidence(tuple(lines), crops)
+    return TrackEvidence(tuple(lines), crops)
 
 
 def actor_lines(actor: Actor) -> list[str]:
@@ -125,10 +125,10 @@ class TrackPanel:
                     for label, picture in found.crops
                 ]
 
-    def _evidence(self, track: str, arm: str) -> Evidence:
+    def _evidence(self, track: str, arm: str) -> TrackEvidence:
         inputs = self._playback.inputs
         if inputs.log is None:
-            return Evidence(("no log was given: use --log",))
+            return TrackEvidence(("no log was given: use --log",))
         return track_evidence(inputs.log, track, inputs.actors.get(arm, {}).get(track))
 
 

@@ -7,7 +7,7 @@ from dataclasses import replace
 from threading import RLock
 from typing import Literal
 
-from recast.viewer.inputs import Drive, ViewInputs
+from recast.viewer.inputs import ViewedDrive, ViewInputs
 from recast.viewer.stage import Shown
 
 Change = Literal["drive", "step", "playing", "layers"]
@@ -37,7 +37,7 @@ class Playback:
         self.speed, self.playing, self.seconds = 1.0, False, 0.0
 
     @property
-    def drive(self) -> Drive:
+    def drive(self) -> ViewedDrive:
         """The drive that is shown."""
         return self.inputs.scenarios[self.scenario][self.arm]
 
@@ -75,7 +75,7 @@ class Playback:
             self._stand_at(round(self.seconds / self.drive.dt))
         self._tell("drive")
 
-    def add(self, scenario: str, arm: str, drive: Drive) -> None:
+    def add(self, scenario: str, arm: str, drive: ViewedDrive) -> None:
         """Take a drive in, and show it from its start."""
         with self._lock:
             self._scenarios.setdefault(scenario, {})[arm] = drive

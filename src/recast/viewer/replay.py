@@ -10,7 +10,7 @@ from recast.core.errors import InputError
 from recast.viewer.inputs import ViewInputs
 from recast.viewer.page import LOOPBACK, MOST_GAUSSIANS, close_server, open_server
 from recast.viewer.panel_play import open_at, overview
-from recast.viewer.stage import Shown, Stage
+from recast.viewer.stage import Shown, ViewerStage
 
 REPLAY_MB = 15.0
 """Default size of a replay at most, in 1e6 bytes."""
@@ -103,7 +103,7 @@ def _recorded(inputs: ViewInputs, scenario: str, most: int) -> tuple[str, int, i
     """The page, and how many Gaussians it has of how many."""
     server = open_server(LOOPBACK, 8099)
     try:
-        stage = Stage(server, inputs, most, inputs.scenes)
+        stage = ViewerStage(server, inputs, most, inputs.scenes)
         drives = inputs.scenarios[scenario]
         open_at(server, overview(next(iter(drives.values()))))
         first = next(iter(drives))

@@ -18,14 +18,14 @@ from recast.scene import StreetScene
 from recast.splats import Gaussians
 from recast.viewer.bake import (
     ACTOR_DISTANCE,
-    Splats,
+    BakedSplats,
     baked,
     importance,
     most_important,
     path_distances,
     sky_dome,
 )
-from recast.viewer.inputs import Drive, ViewInputs
+from recast.viewer.inputs import ViewedDrive, ViewInputs
 
 if TYPE_CHECKING:
     import viser
@@ -152,7 +152,7 @@ class SplatNodes:
         self._actors[arm] = names
         return found
 
-    def _add(self, name: str, splats: Splats) -> None:
+    def _add(self, name: str, splats: BakedSplats) -> None:
         self._handles[name] = self._server.scene.add_gaussian_splats(
             name,
             splats.centres,
@@ -174,7 +174,7 @@ class SplatNodes:
                 self._coverage[arm][track] = name
 
 
-def _first_drive(inputs: ViewInputs, arm: str) -> Drive:
+def _first_drive(inputs: ViewInputs, arm: str) -> ViewedDrive:
     """The first drive of an arm; of any, where it has none."""
     drives = [drives for drives in inputs.scenarios.values() if drives]
     return next((d[arm] for d in drives if arm in d), next(iter(drives[0].values())))

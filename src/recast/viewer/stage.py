@@ -13,7 +13,7 @@ from recast.arrays import Array
 from recast.geometry import boxes, se3
 from recast.reporting import palette
 from recast.viewer.bake import drivable_mesh, lane_lines, raised, segments
-from recast.viewer.inputs import Drive, ViewInputs
+from recast.viewer.inputs import ViewedDrive, ViewInputs
 from recast.viewer.splat_nodes import SplatNodes
 
 if TYPE_CHECKING:
@@ -46,7 +46,7 @@ class Shown:
     step: int
 
 
-class Stage:
+class ViewerStage:
     """The nodes of a viser scene.
 
     Args:
@@ -166,7 +166,7 @@ class Stage:
             wanted.append("/map/drivable")
         return [name for name in wanted if name in self._nodes]
 
-    def _boxes(self, drive: Drive, poses: Mapping[str, Array]) -> dict[str, Array | None]:
+    def _boxes(self, drive: ViewedDrive, poses: Mapping[str, Array]) -> dict[str, Array | None]:
         names = {}
         for track, pose in poses.items():
             controlled = track in drive.controlled
@@ -199,7 +199,7 @@ class Stage:
         edges = boxes.corners(size)[np.array(boxes.EDGES)].astype(np.float32)
         self._server.scene.add_line_segments(name, edges, colour, thickness=0.03)
 
-    def _ego(self, drive: Drive, shown: Shown, rig: Array) -> dict[str, Array | None]:
+    def _ego(self, drive: ViewedDrive, shown: Shown, rig: Array) -> dict[str, Array | None]:
         seen: dict[str, Array | None] = {}
         if "ego" in self.layers:
             if "/ego/box" not in self._nodes:
@@ -239,7 +239,7 @@ class Stage:
             )
 
     def _cameras(
-        self, drive: Drive, step: int, rig: Array, pictures: bool
+        self, drive: ViewedDrive, step: int, rig: Array, pictures: bool
     ) -> dict[str, Array | None]:
         seen: dict[str, Array | None] = {}
         for camera, mount in drive.cameras.items():
@@ -266,7 +266,7 @@ class Stage:
             seen[name] = rig @ mount.rig_from_camera
         return seen
 
-    def _lidar(self, drive: Drive, step: int, pictures: bool) -> dict[str, Array | None]:
+    def _lidar(self, drive: ViewedDrive, step: int, pictures: bool) -> dict[str, Array | None]:
         log, name = self.inputs.log, "/lidar"
         if log is None or not log.lidars:
             return {}

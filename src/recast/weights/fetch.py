@@ -18,7 +18,7 @@ from recast.core.records import Record, read_record
 from recast.weights import transfer
 from recast.weights.fetched import (
     RECORD_FILE,
-    FileRecord,
+    FetchedFile,
     WeightsRecord,
     opened,
     read_weights_record,
@@ -26,7 +26,7 @@ from recast.weights.fetched import (
     weights_folder,
     written_files,
 )
-from recast.weights.table import Source, Weights
+from recast.weights.table import Weights, WeightsSource
 
 _PICKLE, _SAFETENSORS = "pytorch_model.bin", "model.safetensors"
 PLAN_FILE = ".plan.json"
@@ -35,7 +35,7 @@ Progress = Callable[[str, int, int | None], None]
 """Called with a file's name, the bytes of it that came by now, and all of them if known."""
 
 
-class Plan(Record):
+class FetchPlan(Record):
     """What is to be fetched; kept until it is done, so that a branch that moves changes nothing.
 
     Attributes:
@@ -103,7 +103,7 @@ def _fill(weights: Weights, partial: Path, progress: Progress) -> None:
     plan = _plan(weights, partial)
     targets = {file.path: member(partial, file.path, file.address, "name") for file in plan.files}
     _require_space(weights, plan, partial)
-    fetched: dict[str, FileRecord] = {}
+    fetched: dict[str, FetchedFile] = {}
     for file in plan.files:
 
         def step(came: int, file: transfer.RemoteFile = file) -> None:
@@ -139,7 +139,7 @@ def _finish(partial: Path, folder: Path) -> None:
     shutil.rmtree(older, ignore_errors=True)
 
 
-def _plan(weights: Weights, partial: Path) -> Plan:
+def _plan(weights: Weights, partial: Path) -> FetchPlan:
     """The plan of an earlier try if it is for the same entry; else a new one in an empty folder."""
     entry = value_hash(
         [
@@ -149,7 +149,7 @@ def _plan(weights: Weights, partial: Path) -> Plan:
     )
     path = partial / PLAN_FILE
     if path.is_file():
-        plan = read_record(path, Plan, 1, f"remove {partial}")
+        plan = read_record(path, FetchPlan, 1, f"remove {partial}")
         if plan.entry == entry:
             return plan
     for old in partial.iterdir():
@@ -164,12 +164,14 @@ def _plan(weights: Weights, partial: Path) -> Plan:
             found = {name: transfer.web_file(source.address(name)) for name in source.files}
             names = list(source.files)
         planned += [_planned(source, name, found[name]) for name in dict.fromkeys(names)]
-    plan = Plan(entry=entry, revisions=revisions, files=tuple(planned))
+    plan = FetchPlan(entry=entry, revisions=revisions, files=tuple(planned))
     files.write_json(path, plan.model_dump(mode="json"))
     return plan
 
 
-def _matching(source: Source, wanted: str, found: dict[str, transfer.RemoteFile]) -> list[str]:
+def _matching(
+    source: WeightsSource, wanted: str, found: dict[str, transfer.RemoteFile]
+) -> list[str]:
     names = fnmatch.filter(found, wanted) if "*" in wanted else [wanted] * (wanted in found)
     if not names:
         raise InputError(
@@ -181,7 +183,7 @@ def _matching(source: Source, wanted: str, found: dict[str, transfer.RemoteFile]
     return names
 
 
-def _planned(source: Source, name: str, file: transfer.RemoteFile) -> transfer.RemoteFile:
+def _planned(source: WeightsSource, name: str, file: transfer.RemoteFile) -> transfer.RemoteFile:
     pinned = source.sha256.get(name, file.sha256)
     if file.sha256 not in (None, pinned):
         problem = f"have SHA-256 {file.sha256} on the server, recast pins {pinned}"
@@ -190,7 +192,7 @@ def _planned(source: Source, name: str, file: transfer.RemoteFile) -> transfer.R
     return file.model_copy(update={"path": path, "sha256": pinned})
 
 
-def _require_space(weights: Weights, plan: Plan, partial: Path) -> None:
+def _require_space(weights: Weights, plan: FetchPlan, partial: Path) -> None:
     """Refuse a disk that cannot take what is still to come, before anything comes."""
     needed = 0
     for file in plan.files:

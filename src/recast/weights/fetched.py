@@ -117,7 +117,7 @@ def is_fetched(name: str) -> bool:
     return (weights_folder(name) / RECORD_FILE).is_file()
 
 
-class FileRecord(Record):
+class FetchedFile(Record):
     """Size and hash of a file."""
 
     size: NonNegativeInt
@@ -139,9 +139,9 @@ class WeightsRecord(Record):
     version: Literal[1] = 1
     name: str
     revisions: dict[str, str]
-    fetched: dict[str, FileRecord]
+    fetched: dict[str, FetchedFile]
     converter: str = ""
-    files: dict[str, FileRecord]
+    files: dict[str, FetchedFile]
 
     @property
     def size(self) -> int:
@@ -172,11 +172,11 @@ def read_weights_record(folder: Path) -> WeightsRecord:
     return read_record(folder / RECORD_FILE, WeightsRecord, 1, _mend(folder), _FORMAT)
 
 
-def file_record(path: Path) -> FileRecord:
+def file_record(path: Path) -> FetchedFile:
     """Size and SHA-256 of a file, all of it read."""
     with path.open("rb") as stream:
         sha256 = hashlib.file_digest(stream, "sha256").hexdigest()
-    return FileRecord(size=path.stat().st_size, sha256=sha256)
+    return FetchedFile(size=path.stat().st_size, sha256=sha256)
 
 
 def verify(folder: Path, record: WeightsRecord, every_byte: bool = True) -> None:
@@ -213,8 +213,8 @@ def remember(folder: Path, record: WeightsRecord) -> None:
 
 
 def written_files(
-    folder: Path, leave: Collection[str], known: Mapping[str, FileRecord]
-) -> dict[str, FileRecord]:
+    folder: Path, leave: Collection[str], known: Mapping[str, FetchedFile]
+) -> dict[str, FetchedFile]:
     """The files below a folder by relative name, but those to `leave`; `known` were read already.
 
     Names that begin with a dot are temporary.

@@ -34,7 +34,7 @@ class Licence:
 
 
 @dataclass(frozen=True)
-class Source:
+class WeightsSource:
     """Files that lie in one place.
 
     Attributes:
@@ -94,7 +94,7 @@ class Weights:
     use: str
     options: tuple[str, ...]
     gigabytes: float
-    sources: tuple[Source, ...]
+    sources: tuple[WeightsSource, ...]
     part: str = ""
     opens: str = ""
     converter: str = ""
@@ -168,7 +168,7 @@ _TRELLIS_HASHES = {
 }
 """Of the six networks that recast loads, by stem below ckpts/."""
 
-_TRELLIS = Source(
+_TRELLIS = WeightsSource(
     "microsoft/TRELLIS-image-large",
     (
         "pipeline.json",
@@ -180,8 +180,8 @@ _TRELLIS = Source(
 )
 
 
-def _dinov2(into: str = "") -> Source:
-    return Source(
+def _dinov2(into: str = "") -> WeightsSource:
+    return WeightsSource(
         "facebook/dinov2-with-registers-large",
         (*_PROCESSOR, _MODEL),
         _apache("facebook/dinov2-with-registers-large"),
@@ -190,9 +190,9 @@ def _dinov2(into: str = "") -> Source:
     )
 
 
-def _grounding_dino(size: str, revision: str, sha256: str) -> Source:
+def _grounding_dino(size: str, revision: str, sha256: str) -> WeightsSource:
     repository = f"IDEA-Research/grounding-dino-{size}"
-    return Source(
+    return WeightsSource(
         repository,
         (*_PROCESSOR, *_TOKENIZER, "vocab.txt", _MODEL),
         _apache(repository),
@@ -202,14 +202,16 @@ def _grounding_dino(size: str, revision: str, sha256: str) -> Source:
     )
 
 
-def _sam(size: str, revision: str, sha256: Mapping[str, str]) -> Source:
+def _sam(size: str, revision: str, sha256: Mapping[str, str]) -> WeightsSource:
     repository = f"facebook/sam-vit-{size}"
-    return Source(repository, (*_PROCESSOR, _MODEL), _apache(repository), revision, sha256, "sam")
+    return WeightsSource(
+        repository, (*_PROCESSOR, _MODEL), _apache(repository), revision, sha256, "sam"
+    )
 
 
-def _flant5(size: str, revision: str | None) -> Source:
+def _flant5(size: str, revision: str | None) -> WeightsSource:
     repository = f"zhiqiulin/clip-flant5-{size}"
-    return Source(
+    return WeightsSource(
         repository,
         ("config.json", *_TOKENIZER, "spiece.model", "pytorch_model*"),
         _apache(repository),
@@ -228,11 +230,11 @@ def _one_file(
 ) -> Weights:
     """An entry that is the one file of an address, which stands for the name."""
     folder, _, file = address.rpartition("/")
-    source = Source(folder, (file,), licence, sha256={file: sha256})
+    source = WeightsSource(folder, (file,), licence, sha256={file: sha256})
     return Weights(name, use, (option,), gigabytes, (source,), opens=file)
 
 
-_VISION_TOWER = Source(
+_VISION_TOWER = WeightsSource(
     "openai/clip-vit-large-patch14-336",
     _PROCESSOR,
     _CLIP_LICENCE,
@@ -297,7 +299,7 @@ _TABLE = (
         ("--clip",),
         1.7,
         (
-            Source(
+            WeightsSource(
                 "openai/clip-vit-large-patch14",
                 (*_CLIP_FILES, _MODEL),
                 _CLIP_LICENCE,
@@ -312,7 +314,7 @@ _TABLE = (
         ("--clip",),
         0.6,
         (
-            Source(
+            WeightsSource(
                 "openai/clip-vit-base-patch32",
                 (*_CLIP_FILES, _PICKLE),
                 _CLIP_LICENCE,
@@ -373,7 +375,7 @@ _TABLE = (
         ("--planner",),
         0.9,
         (
-            Source(
+            WeightsSource(
                 "Zzxxxxxxxx/gtrs",
                 ("gtrs_dense_vov.ckpt",),
                 _hub_licence(
@@ -383,7 +385,7 @@ _TABLE = (
                     restricted=True,
                 ),
             ),
-            Source(
+            WeightsSource(
                 "https://raw.githubusercontent.com/NVlabs/GTRS/"
                 "92a740def80610e4096962d25cc837b21e72ef78/traj_final",
                 ("8192.npy",),

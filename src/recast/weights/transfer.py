@@ -19,8 +19,8 @@ from pydantic import BaseModel, ConfigDict, Field
 from recast.core import files
 from recast.core.errors import InputError
 from recast.core.records import Record, validated
-from recast.weights.fetched import FileRecord, Sha256, file_record
-from recast.weights.table import HUB, Source
+from recast.weights.fetched import FetchedFile, Sha256, file_record
+from recast.weights.table import HUB, WeightsSource
 
 MIRROR = "RECAST_WEIGHTS_MIRROR"
 """Environment variable that names a mirror: of the hub, and below HOST/PATH of other hosts."""
@@ -83,7 +83,7 @@ def actual(address: str) -> str:
     return f"{mirror}/{address.partition('://')[2]}" if mirror else address
 
 
-def repository_files(source: Source) -> tuple[str, dict[str, RemoteFile]]:
+def repository_files(source: WeightsSource) -> tuple[str, dict[str, RemoteFile]]:
     """The commit of a repository and all of its files by name.
 
     Raises:
@@ -104,7 +104,9 @@ def repository_files(source: Source) -> tuple[str, dict[str, RemoteFile]]:
     return listed_files(source, actual(address), listing)
 
 
-def listed_files(source: Source, where: str, listing: bytes) -> tuple[str, dict[str, RemoteFile]]:
+def listed_files(
+    source: WeightsSource, where: str, listing: bytes
+) -> tuple[str, dict[str, RemoteFile]]:
     """What a listing of a repository says, see `repository_files`.
 
     Args:
@@ -151,7 +153,7 @@ def web_file(address: str) -> RemoteFile:
     return RemoteFile(address=address, path="", size=int(length) if known else None)
 
 
-def download(file: RemoteFile, target: Path, step: Step) -> FileRecord:
+def download(file: RemoteFile, target: Path, step: Step) -> FetchedFile:
     """Fetch a file, whole or not at all; what an earlier try left is continued, or found whole.
 
     Args:
@@ -197,7 +199,7 @@ def download(file: RemoteFile, target: Path, step: Step) -> FileRecord:
     return found
 
 
-def _difference(file: RemoteFile, found: FileRecord, path: Path) -> str:
+def _difference(file: RemoteFile, found: FetchedFile, path: Path) -> str:
     """In what a file on disk is not what was asked for; empty if it is."""
     if file.size is not None and found.size != file.size:
         return f"are {found.size}, not {file.size}"

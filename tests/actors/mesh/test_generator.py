@@ -14,7 +14,7 @@ from actors.mesh.made import CAR, HALVES, SQUARE, Glb, box, car
 from recast.actors import MeshGenerator, Observation, register
 from recast.actors.mesh.generator import surfels
 from recast.actors.mesh.sample import Outside, outside, sample
-from recast.actors.mesh.triangles import Glow, Material, Triangles
+from recast.actors.mesh.triangles import Glow, MeshMaterial, Triangles
 from recast.actors.template.lighting import CLEAR_DAY
 from recast.core.errors import InputError
 from recast.geometry.colour import linear_to_gamma
@@ -29,7 +29,7 @@ def of_box(
     corners, faces = box(low, high)
     triangles = corners.astype(np.float64)[faces[:, ::-1] if flipped else faces]
     alpha = "BLEND" if colour[3] < 1 else "OPAQUE"
-    return Triangles(triangles, None, None, Material(np.array(colour), alpha=alpha))
+    return Triangles(triangles, None, None, MeshMaterial(np.array(colour), alpha=alpha))
 
 
 def colours(gaussians: Gaussians) -> np.ndarray:
@@ -110,7 +110,7 @@ def test_a_noisy_texture_does_not_make_a_gaussian_of_every_texel(
 
 def open_box() -> list[Triangles]:
     """White walls a millimetre thin, and a lid of glass."""
-    white = Material(np.ones(4))
+    white = MeshMaterial(np.ones(4))
     corners, faces = box([-1, -1, -1], [1, 1, 0])
     walls = np.array([f for f in faces if corners[f][:, 2].min() < 0])
     lid = of_box([-1, -1, 0], [1, 1, 0.01], (1.0, 1.0, 1.0, 0.1))
@@ -145,7 +145,7 @@ def test_the_top_is_lighter_than_the_flank() -> None:
 
 def test_unlit_surfaces_keep_their_colour_and_emission_is_added() -> None:
     """Display values: an unlit box is of one colour; emission shows where nothing is reflected."""
-    unlit = Material(np.array([0.5, 0.2, 0.1, 1.0]), lit=False)
+    unlit = MeshMaterial(np.array([0.5, 0.2, 0.1, 1.0]), lit=False)
     box_ = of_box([-2, -1, 0], [2, 1, 1], (0.0, 0.0, 0.0, 1.0))
     made = surfels(outside(sample([replace(box_, material=unlit)], 0.05)[0]), CLEAR_DAY)
     shown = linear_to_gamma(np.array([0.5, 0.2, 0.1]))

@@ -12,17 +12,17 @@ from hypothesis import strategies as st
 from actors.mesh.made import HALVES, SQUARE, SQUARE_UV, box
 from recast.actors.mesh import sample as sampling
 from recast.actors.mesh.sample import sample
-from recast.actors.mesh.triangles import Glow, Material, Triangles, Wrap
+from recast.actors.mesh.triangles import Glow, MeshMaterial, Triangles, Wrap
 from recast.geometry import se3
 
-WHITE = Material(np.ones(4))
+WHITE = MeshMaterial(np.ones(4))
 
 
 def turned(seed: int) -> np.ndarray:
     return se3.quat_to_matrix(np.random.default_rng(seed).normal(size=4))
 
 
-def square(rotation: np.ndarray, material: Material = WHITE) -> Triangles:
+def square(rotation: np.ndarray, material: MeshMaterial = WHITE) -> Triangles:
     corners = (SQUARE.astype(np.float64) @ rotation.T)[HALVES]
     return Triangles(corners, SQUARE_UV[HALVES].astype(np.float64), None, material)
 
@@ -99,7 +99,7 @@ def test_textures_go_on_beyond_their_edges(wrap: Wrap, columns: str) -> None:
 def test_what_emits_is_kept_apart_from_what_reflects() -> None:
     dark = np.full((2, 2, 4), [0, 255, 0, 255], np.uint8)
     glow = Glow(np.array([0.5, 0.25, 3.0]), dark, SQUARE_UV[HALVES].astype(np.float64))
-    red = Material(np.array([0.6, 0.0, 0.0, 1.0]), gloss=0.7)
+    red = MeshMaterial(np.array([0.6, 0.0, 0.0, 1.0]), gloss=0.7)
     found, _ = sample([replace(square(np.eye(3), red), glow=glow)], 0.1)
     np.testing.assert_allclose(found.albedo, np.tile([0.6, 0, 0], (len(found), 1)))
     np.testing.assert_allclose(found.emission, np.tile([0, 0.25, 0], (len(found), 1)))
@@ -120,7 +120,7 @@ def test_what_emits_is_kept_apart_from_what_reflects() -> None:
     ],
 )
 def test_alpha(alpha: str, value: float, seen: float | None) -> None:
-    material = Material(np.array([1.0, 1.0, 1.0, value]), alpha=alpha)  # type: ignore[arg-type]
+    material = MeshMaterial(np.array([1.0, 1.0, 1.0, value]), alpha=alpha)  # type: ignore[arg-type]
     found, _ = sample([square(np.eye(3), material)], 0.1)
     assert (len(found) > 0) == (seen is not None)
     assert np.all(found.alpha == seen)

@@ -76,7 +76,7 @@ def test_a_faulty_plan_is_a_failed_row(tiny_log_folder: Path, tmp_path: Path) ->
         rows = grid(tiny_log_folder, tmp_path / "grid", port)
     assert driver.refused == [] and driver.sessions == {}
     for row in rows:
-        assert f"127.0.0.1:{port}: drive: poses[1].pose.vec: not finite" in row["failure_reason"]
+        assert f"127.0.0.1:{port}: drive: poses[1].pose.vec: is not finite" in row["failure_reason"]
     with driving(FakeDriver(), port):
         again = grid(tiny_log_folder, tmp_path / "grid", port, "--retry-failures")
     assert [row["failure"] for row in again] == [None] * 4

@@ -22,7 +22,7 @@ from recast.geometry import se3
 from recast.planning import ConstantVelocity, Plan, PlannerInput
 from recast.scene.render import SceneRasterizer
 from recast.simulation import MOTIONS, Rollout, RolloutSetup, SensorRenderer, SimState, run_rollout
-from recast.simulation.renderer import Mounted
+from recast.simulation.renderer import MountedRenderer
 from recast.simulation.scene_renderer import SceneRenderer, draw_image, through_lenses
 from recast_bridges.alpasim.client import SensorsimClient, SensorsimRenderer
 from recast_bridges.alpasim.messages import CHANNEL_OPTIONS, SENSORSIM_SERVICES, message, parse
@@ -57,7 +57,7 @@ class Looker(ConstantVelocity):
         return super().plan(observation)
 
 
-class RoundedRenderer(Mounted):
+class RoundedRenderer(MountedRenderer):
     """In process, with poses as the messages hold them: float32."""
 
     def __init__(self, mounts: Mapping[str, CameraMount]) -> None:

@@ -16,7 +16,7 @@ from recast.logs import DrivingLog, Trajectory, read_log
 from recast.logs.importers.nuscenes import KEY_FRAMES, load_nuscenes
 from recast.planning import ConstantVelocity
 from recast.simulation import (
-    LogReplay,
+    LoggedMotion,
     RolloutSetup,
     Scenario,
     TimedPath,
@@ -199,7 +199,7 @@ def test_groups_and_actors_that_drive_as_logged(tmp_path: Path) -> None:
     assert {run.target for run in runs} == {"car-a", BLACK, "car-b"}
     logged = GOOD[: GOOD.index("  - uuid: car-b")] + "  - {uuid: car-b, mode: optimized}\n"
     for run in ncap_runs(read_ncap_scenario(write(tmp_path, logged)), LOG, 3):
-        assert isinstance(run.motions["car-b"], LogReplay)
+        assert isinstance(run.motions["car-b"], LoggedMotion)
     written = import_ncap_scenario(write(tmp_path, logged), LOG, tmp_path / "out", 3)
     assert isinstance(read_scenario(written[0].path)[0], Scenario)
 

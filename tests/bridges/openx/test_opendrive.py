@@ -19,7 +19,7 @@ from recast.logs.hdmap import HdMap, Lane
 from recast.logs.importers.argoverse2_map import find_map, read_map
 from recast.synthetic.streets import SCENES, make_street
 from recast_bridges.openx import read_opendrive, write_opendrive
-from recast_bridges.openx.opendrive import LeftOut
+from recast_bridges.openx.opendrive import LeftOutLinks
 from support.road_lanes import lane, outlined
 
 REACH = 0.05
@@ -103,7 +103,7 @@ def boundaries_apart(own: Lane, found: Sampled) -> float:
     return max(apart(own.left_boundary, found.left), apart(own.right_boundary, found.right))
 
 
-def written(hdmap: HdMap, folder: Path) -> tuple[ET.Element, LeftOut]:
+def written(hdmap: HdMap, folder: Path) -> tuple[ET.Element, LeftOutLinks]:
     left_out = write_opendrive(folder / "a.xodr", hdmap, "map")
     return ET.parse(folder / "a.xodr").getroot(), left_out
 
@@ -113,7 +113,7 @@ def test_streets_of_lines_and_arcs(scene: str, tmp_path: Path) -> None:
     hdmap = make_street(scene, np.random.default_rng(1), 60.0).map
     root, left_out = written(hdmap, tmp_path)
     lanes, back = sampled(root), read_opendrive(tmp_path / "a.xodr")
-    assert left_out == LeftOut(0, 0) and set(lanes) == set(back) == set(hdmap.lanes)
+    assert left_out == LeftOutLinks(0, 0) and set(lanes) == set(back) == set(hdmap.lanes)
     for key, own in hdmap.lanes.items():
         found, read = lanes[key], back[key]
         assert boundaries_apart(own, found) < REACH
@@ -176,7 +176,7 @@ def hdmap() -> HdMap:
 def test_lanes_come_back(hdmap: HdMap, tmp_path: Path) -> None:
     root, left_out = written(hdmap, tmp_path)
     back, lanes = read_opendrive(tmp_path / "a.xodr"), sampled(root)
-    assert left_out == LeftOut(0, 0) and list(back) == list(hdmap.lanes)
+    assert left_out == LeftOutLinks(0, 0) and list(back) == list(hdmap.lanes)
     for key, own in hdmap.lanes.items():
         assert back[key].successors == own.successors
         assert back[key].speed_limit == own.speed_limit
@@ -243,7 +243,7 @@ def test_neighbours_are_lanes_of_one_road(tmp_path: Path) -> None:
     ]
     assert rows[0] == [("l", "-1"), ("m", "-2"), ("r", "-3")]
     assert rows[1] == [("m2", "-1"), ("r2", "-2")]
-    assert [len(row) for row in rows] == [3, 2, 1, 1] and left_out == LeftOut(0, 0)
+    assert [len(row) for row in rows] == [3, 2, 1, 1] and left_out == LeftOutLinks(0, 0)
     back = read_opendrive(tmp_path / "a.xodr")
     assert back["r"].successors == ("r2",) and set(back["m"].successors) == {"m2", "l2"}
     assert back["m"].left_neighbour == "l" and back["m"].right_neighbour == "r"

@@ -35,7 +35,7 @@ from recast_bridges.openx import (
     write_openscenario,
 )
 from recast_bridges.openx.entities import Entity
-from recast_bridges.openx.opendrive import LeftOut
+from recast_bridges.openx.opendrive import LeftOutLinks
 from support.road_lanes import lane
 from support.synthetic_drives import drive
 
@@ -178,7 +178,7 @@ def test_a_folder_is_written_and_compared(
     exported, roads = export_openx([played, played], hdmap, tmp_path / "out", "map")
     assert [one.file for one in exported] == [f"{rollout.name}.xosc", f"{rollout.name}-1.xosc"]
     assert all(one.metres < ROUNDING and one.entities == 4 for one in exported)
-    assert roads is not None and (roads.lanes, roads.left_out) == (1, LeftOut(0, 0))
+    assert roads is not None and (roads.lanes, roads.left_out) == (1, LeftOutLinks(0, 0))
     assert roads.metres < 0.01
     # Of lanes in OpenDRIVE, the centreline is the middle; this one has 2 m and 1.5 m beside it.
     assert roads.centreline_metres == pytest.approx(0.25, abs=0.01)

@@ -187,7 +187,12 @@ def test_what_is_not_carried_over_is_told(tmp_path: Path) -> None:
         folder, make_log(), tmp_path / "scene", first_frame=FIRST, leave_out=("12",)
     )
     assert not load_scene(tmp_path / "scene").actors
-    for line in ("actor 12: asked", "actor 7: has no unicycle_7.pth", "feats3D", "appearance"):
+    for line in (
+        "actor 12: left out as requested",
+        "actor 7: has no unicycle_7.pth",
+        "feats3D",
+        "appearance",
+    ):
         assert any(one.startswith(line) for one in record.left_out), line
 
 

@@ -117,7 +117,7 @@ def test_actors_are_told_by_token_by_name_and_by_place(log: DrivingLog, tmp_path
     far = scene.actors["still"].gaussians.means.abs()
     assert np.all(far.numpy().max(axis=0) * 2 >= scene.actors["still"].size)
     assert np.allclose(scene.actors["still"].size, [3.9, 1.6, 1.4], atol=0.2)
-    assert any(line.startswith("still: no tracks of the log") for line in record.changed)
+    assert any(line.startswith("still: not tracks of the log") for line in record.changed)
     for bad in ({"ghost": made.CAR}, {"moved": "ghost"}):
         names.write_text(json.dumps(bad))
         with pytest.raises(InputError, match="ghost"):

@@ -137,7 +137,7 @@ def test_without_the_folder_actors_follow_the_log(log: DrivingLog, tmp_path: Pat
         scene.actors[made.CAR].trajectory.poses, log.tracks[made.CAR].trajectory.poses
     )
     assert any(line.startswith("actor_pose") for line in record.left_out)
-    assert "only near" in record.placed_by
+    assert "only approximates" in record.placed_by
     assert np.allclose(record.world_from_scene, WORLD_FROM_SCENE, atol=1e-6)
     assert "obj_003" in next(line for line in record.changed if "frozen" in line)
 

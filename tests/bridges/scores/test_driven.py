@@ -14,7 +14,7 @@ from recast.geometry import se2
 from recast.planning.map_from_log import planner_map
 from recast.planning.pdm import PdmClosed, PdmConfig
 from recast_bridges.scores.driven import driven_epdms
-from recast_bridges.scores.epdms import Situation, planned_poses, score_human, score_plan
+from recast_bridges.scores.epdms import PlanSituation, planned_poses, score_human, score_plan
 from support.straight_road import hd_road, straight, user
 
 QUIRKS = PdmConfig(reference_quirks=True)
@@ -130,7 +130,7 @@ def test_traffic_answers_to_the_plan_and_not_to_pdm_closed():
 
     start = straight(10.0)[0]
     lanes = planner_map(hd_road())
-    here = Situation(start, lanes, ("ahead", "across"), (user(100.0),), traffic)
+    here = PlanSituation(start, lanes, ("ahead", "across"), (user(100.0),), traffic)
     plan = score_plan(here, straight_plans(1, 6.0)[0])
     np.testing.assert_array_equal(seen[0], plan.states)
     human = score_human(here, straight_plans(1, 6.0)[0])
@@ -139,7 +139,7 @@ def test_traffic_answers_to_the_plan_and_not_to_pdm_closed():
 
 
 def test_a_plan_of_eight_poses_is_joined_by_straight_lines():
-    here = Situation(straight(8.0)[0], planner_map(hd_road()), ("ahead",))
+    here = PlanSituation(straight(8.0)[0], planner_map(hd_road()), ("ahead",))
     coarse = straight_plans(1, 8.0)[0][4::5]
     coarse[:, 2] = np.pi - 0.1 * np.arange(8)
     found = planned_poses(here, coarse, 0.5)

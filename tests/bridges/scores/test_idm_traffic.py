@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from recast.geometry import boxes
-from recast.planning.pdm import Kind, Obstacle
-from recast_bridges.scores.epdms import Situation, score_plan
+from recast.planning.pdm import AgentKind, Obstacle
+from recast_bridges.scores.epdms import PlanSituation, score_plan
 from recast_bridges.scores.idm_traffic import IdmTraffic
 from support.straight_road import CROSSING, STATES, road, straight, user
 
@@ -30,7 +30,7 @@ def test_a_vehicle_is_put_onto_its_centreline_and_drives_along():
 
 def test_the_first_step_is_the_drivers_formula():
     """A barrier, whose near end is 14 m ahead of the agent's front bumper."""
-    barrier = user(38.0, kind=Kind.STATIC, token="s")
+    barrier = user(38.0, kind=AgentKind.STATIC, token="s")
     given = np.tile(barrier.pose, (2, STATES, 1))
     path, _ = paths(user(20.0, speed=5.0), barrier, others=given)
     desired = 1.0 + 5.0 * 1.5 + 5.0 * 5.0 / (2 * np.sqrt(1.0 * 2.0))
@@ -88,7 +88,7 @@ def test_of_two_that_overlap_the_second_is_left_out():
 
 
 def test_others_go_as_given():
-    walker = user(40.0, y=2.0, kind=Kind.PEDESTRIAN, size=(0.6, 0.6), token="p")
+    walker = user(40.0, y=2.0, kind=AgentKind.PEDESTRIAN, size=(0.6, 0.6), token="p")
     given = np.full((2, STATES, 3), np.nan)
     given[1] = np.linspace([40.0, 2.0, 0.0], [40.0, -2.0, 0.0], STATES)
     car, seen = paths(user(20.0, speed=6.0), walker, others=given)
@@ -98,7 +98,11 @@ def test_others_go_as_given():
 
 def test_an_oncoming_vehicle_follows_its_own_lane():
     coming = Obstacle(
-        "o", Kind.VEHICLE, np.array([60.0, 3.0, np.pi]), np.array([-7.0, 0.0]), np.array([4.0, 2.0])
+        "o",
+        AgentKind.VEHICLE,
+        np.array([60.0, 3.0, np.pi]),
+        np.array([-7.0, 0.0]),
+        np.array([4.0, 2.0]),
     )
     [path] = paths(coming)
     np.testing.assert_allclose(path[:, 1], 3.5, atol=1e-9)
@@ -119,7 +123,7 @@ def test_a_plan_is_scored_among_vehicles_that_react():
     """A vehicle from behind stops behind an ego that plans to stand."""
     behind = user(-20.0, speed=9.0)
     traffic = IdmTraffic(road(), (behind,), np.full((1, STATES, 3), np.nan))
-    here = Situation(
+    here = PlanSituation(
         straight(3.0, x=10.0)[0], road(), ("ahead", "across", "beyond"), (behind,), traffic
     )
     found = score_plan(here, np.zeros((40, 3)))

@@ -12,8 +12,8 @@ from metrics.rollouts import straight_plans
 from recast.dynamics import state
 from recast.planning.map_from_log import planner_map
 from recast.planning.pdm import ExtendedScores
-from recast_bridges.scores.epdms import PlanScore, Situation, human_filtered
-from recast_bridges.scores.submission import Scene, TokenScore, score_scene
+from recast_bridges.scores.epdms import PlanScore, PlanSituation, human_filtered
+from recast_bridges.scores.submission import SubmittedScene, TokenScore, score_scene
 from recast_bridges.scores.two_stage import (
     COLUMNS,
     TwoStageMapping,
@@ -148,8 +148,10 @@ def test_the_humans_zeros_are_forgiven():
 
 
 def scene(**changes):
-    situation = Situation(straight(10.0)[0], planner_map(hd_road()), ("ahead", "across", "beyond"))
-    return replace(Scene("a", False, 12.0, situation), **changes)
+    situation = PlanSituation(
+        straight(10.0)[0], planner_map(hd_road()), ("ahead", "across", "beyond")
+    )
+    return replace(SubmittedScene("a", False, 12.0, situation), **changes)
 
 
 def test_a_submitted_plan_is_scored_and_its_own_end_kept():

@@ -93,7 +93,7 @@ def test_what_lies_far_out_gets_fewer_fractional_bits(tmp_path: Path) -> None:
     write_spz(tmp_path / "a.spz", far, version=3)
     assert unzipped(tmp_path / "a.spz")[13] == 10
     assert (read_spz(tmp_path / "a.spz").means - far.means).abs().max() <= 2**-11
-    with pytest.raises(InputError, match="leave out what is so far"):
+    with pytest.raises(InputError, match="leave out Gaussians that far"):
         write_spz(tmp_path / "b.spz", replace(one(), means=torch.full((1, 3), 1e7)))
 
 

@@ -13,7 +13,7 @@ import numpy as np
 from fuzz.target import Target
 from recast.core.errors import InputError
 from recast.core.files import parse_json, read_bytes, write_json
-from recast.weights.table import Licence, Source
+from recast.weights.table import Licence, WeightsSource
 from recast.weights.transfer import listed_files
 from recast_bridges.alpasim.cameras import camera_message
 from recast_bridges.alpasim.messages import message
@@ -138,7 +138,7 @@ def _read_ncap(path: Path) -> object:
 
 def _read_listing(path: Path) -> object:
     licence = Licence("MIT", "https://example.org/mit")
-    source = Source("someone/networks", ("*",), licence, _COMMIT)
+    source = WeightsSource("someone/networks", ("*",), licence, _COMMIT)
     return listed_files(source, "hub", path.read_bytes())
 
 

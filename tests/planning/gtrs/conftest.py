@@ -14,10 +14,10 @@ from recast.cameras import CameraMount, PinholeCamera
 from recast.cameras.mounts import camera_pose
 from recast.planning.gtrs import (
     BackboneConfig,
+    BackboneStage,
     GtrsConfig,
     GtrsModel,
     GtrsPlanner,
-    StageConfig,
     ViewLayout,
     new_model,
 )
@@ -28,8 +28,8 @@ TINY = GtrsConfig(
     backbone=BackboneConfig(
         stem=(4, 4, 8),
         stages=(
-            StageConfig(blocks=1, conv_channels=8, out_channels=16),
-            StageConfig(blocks=2, conv_channels=8, out_channels=24),
+            BackboneStage(blocks=1, conv_channels=8, out_channels=16),
+            BackboneStage(blocks=2, conv_channels=8, out_channels=24),
         ),
         layers=2,
     ),

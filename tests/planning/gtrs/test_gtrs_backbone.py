@@ -14,9 +14,9 @@ from torch import Tensor
 from recast.planning.gtrs import (
     HEADS,
     BackboneConfig,
+    BackboneStage,
     GtrsConfig,
     GtrsModel,
-    StageConfig,
     empty_model,
     final_score,
     new_model,
@@ -134,7 +134,7 @@ def test_channel_attention_follows_its_formula() -> None:
 
 @pytest.mark.parametrize("frozen", [True, False])
 def test_batch_norm_in_training(frozen: bool) -> None:
-    stage = StageConfig(blocks=2, conv_channels=4, out_channels=8)
+    stage = BackboneStage(blocks=2, conv_channels=4, out_channels=8)
     backbone = VovNet(BackboneConfig(stem=(4, 4, 4), stages=(stage,), frozen_norm=frozen)).train()
     before = {k: v.clone() for k, v in backbone.state_dict().items() if "running" in k}
     images = torch.rand(2, 3, 16, 16, generator=torch.Generator().manual_seed(0))

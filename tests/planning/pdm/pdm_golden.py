@@ -12,14 +12,14 @@ import shapely
 from recast.dynamics import state as ego
 from recast.geometry import se2
 from recast.planning.map import PlannerLane, PlannerMap
-from recast.planning.pdm import Kind, Obstacle
+from recast.planning.pdm import AgentKind, Obstacle
 
 FOLDER = Path(__file__).parents[2] / "golden" / "planners"
 DATA = json.loads((FOLDER / "pdm_map_and_scenarios.json").read_text())
 KINDS = {
-    "VEHICLE": Kind.VEHICLE,
-    "PEDESTRIAN": Kind.PEDESTRIAN,
-    "TRAFFIC_CONE": Kind.STATIC,
+    "VEHICLE": AgentKind.VEHICLE,
+    "PEDESTRIAN": AgentKind.PEDESTRIAN,
+    "TRAFFIC_CONE": AgentKind.STATIC,
 }
 
 

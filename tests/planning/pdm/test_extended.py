@@ -6,7 +6,7 @@ import shapely
 
 from recast.dynamics import PACIFICA
 from recast.dynamics import state as ego
-from recast.planning.pdm import Kind, extended_comfort, observed, score_extended
+from recast.planning.pdm import AgentKind, extended_comfort, observed, score_extended
 from recast.planning.pdm.extended import ExtendedScores
 from support.straight_road import (
     CENTRELINE,
@@ -32,8 +32,8 @@ def scores(*states, forecast=None, history=None):
     ("who", "value"),
     [
         (user(20.0), 0.0),  # a standing car, met by the front bumper after 1.4 s
-        (user(20.0, kind=Kind.PEDESTRIAN, size=(0.6, 0.6)), 0.0),
-        (user(20.0, kind=Kind.STATIC, size=(1.0, 1.0)), 0.5),
+        (user(20.0, kind=AgentKind.PEDESTRIAN, size=(0.6, 0.6)), 0.0),
+        (user(20.0, kind=AgentKind.STATIC, size=(1.0, 1.0)), 0.5),
         (user(-10.0, speed=14.0), 1.0),  # hits the ego from behind
         (user(20.0, y=6.0), 1.0),
     ],
@@ -103,7 +103,7 @@ def test_progress():
     assert scores(straight(8.0), straight(10.0)).progress.tolist() == [0.8, 1.0]
     assert scores(straight(1.25), straight(0.0)).progress.tolist() == [1.0, 1.0]  # 5 m
     # The second one touches a cone: its 40 m count half, so that 32 m are the best, not 20.
-    cone = user(40.0, kind=Kind.STATIC, size=(0.5, 0.5))
+    cone = user(40.0, kind=AgentKind.STATIC, size=(0.5, 0.5))
     found = scores(straight(8.0), straight(10.0), forecast=seen(cone))
     assert found.no_collision.tolist() == [1.0, 0.5]
     assert found.progress.tolist() == [1.0, 1.0]

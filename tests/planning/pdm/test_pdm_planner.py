@@ -21,7 +21,7 @@ from recast.planning import (
     ReferenceRoute,
     make_planner,
 )
-from recast.planning.pdm import Kind, Obstacle, PdmClosedPlanner
+from recast.planning.pdm import AgentKind, Obstacle, PdmClosedPlanner
 
 START = np.array([40.0, 25.0, 0.7])  # the road in the world
 
@@ -112,10 +112,10 @@ def test_reset_forgets_the_drive_before():
 @pytest.mark.parametrize(
     ("category", "kind"),
     [
-        ("van", Kind.VEHICLE),
-        ("misc", Kind.VEHICLE),
-        ("pedestrian", Kind.PEDESTRIAN),
-        ("cyclist", Kind.BICYCLE),
+        ("van", AgentKind.VEHICLE),
+        ("misc", AgentKind.VEHICLE),
+        ("pedestrian", AgentKind.PEDESTRIAN),
+        ("cyclist", AgentKind.BICYCLE),
     ],
 )
 def test_categories(category, kind):

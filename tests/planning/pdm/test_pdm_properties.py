@@ -10,7 +10,7 @@ from recast.dynamics import PACIFICA
 from recast.dynamics import state as ego
 from recast.geometry import se2
 from recast.planning.map import PlannerLane, PlannerMap
-from recast.planning.pdm import LanePath, PdmClosed, PdmConfig, PdmPlan, forecast
+from recast.planning.pdm import Centreline, PdmClosed, PdmConfig, PdmPlan, forecast
 from recast.planning.pdm.areas import ego_areas
 from recast.planning.pdm.forecast import box_corners, outline
 from recast.planning.pdm.proposals import brake_plan, brakes
@@ -149,7 +149,7 @@ def test_a_route_end_stops_the_ego():
 
 
 def test_stretch_of_a_path():
-    path = LanePath([[0, 0, 0], [1, 0, 0], [1, 0, 0], [2, 0, 0], [3, 0, 0]])
+    path = Centreline([[0, 0, 0], [1, 0, 0], [1, 0, 0], [2, 0, 0], [3, 0, 0]])
     assert path.stretch(0.5, 2.5, vertices_only=False).length == pytest.approx(2.0)
     assert path.stretch(0.5, 2.5, vertices_only=True).length == pytest.approx(1.0)
     assert path.stretch(1.2, 1.8, vertices_only=True).length == pytest.approx(0.6)

@@ -54,7 +54,7 @@ def test_a_street_without_road_says_so() -> None:
     nothing = made_up.half_shaded().background.select(torch.zeros(0, dtype=torch.int64))
     light = SceneLight.of(made_up.street(nothing))
     assert light.sunlit is None
-    assert "no road was seen" in light.explain() and "cannot be told" in light.explain()
+    assert "no road was seen" in light.explain() and "is unknown" in light.explain()
     place = light.place(made_up.pose(3.0), made_up.SIZE)
     np.testing.assert_array_equal(place.sun, [SUN_OVER_SKY] * 3)
 

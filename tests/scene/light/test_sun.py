@@ -65,7 +65,7 @@ def test_a_street_that_tells_nothing() -> None:
     )
     sun = SceneLight.of(made_up.street(even)).sun
     assert sun.certainty == pytest.approx(0.0, abs=1e-9)
-    assert "cannot be told" in sun.explain()
+    assert "is unknown" in sun.explain()
 
 
 def test_harmonics_are_those_of_the_clamped_cosine() -> None:

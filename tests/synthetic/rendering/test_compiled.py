@@ -10,7 +10,7 @@ from recast.synthetic.rendering import CameraFrame, RayScene, compiled, render_c
 from recast.synthetic.rendering import rays as single
 from recast.synthetic.rendering.embree import packets_work
 from recast.synthetic.rendering.ray_scene import _Spheres
-from recast.synthetic.rendering.rays import NO_HIT, Mesh
+from recast.synthetic.rendering.rays import NO_HIT, RayMesh
 from recast.synthetic.surface import Surface, concatenate
 from synthetic.rendering.shapes import CAMERA, box, camera_at, plane, pose, sky
 
@@ -85,9 +85,9 @@ def test_packets_meet_what_single_rays_meet(
 ) -> None:
     rng = np.random.default_rng(count)
     surface = crumpled(rng)
-    packets = Mesh(surface)
+    packets = RayMesh(surface)
     monkeypatch.setattr(single, "packets_work", lambda: False)
-    reference = Mesh(surface)
+    reference = RayMesh(surface)
     origins = rng.uniform(-8, 8, (count, 3)).astype(np.float32)
     directions = rng.normal(size=(count, 3)).astype(np.float32)
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
@@ -128,6 +128,6 @@ def test_frames_by_packets_differ_less_than_two_seeds(monkeypatch: pytest.Monkey
 
 @needs_packets
 def test_packets_take_only_float32_rays() -> None:
-    mesh = Mesh(box())
+    mesh = RayMesh(box())
     with pytest.raises(ValueError, match="origins"):
         mesh.occluded(np.zeros((2, 3)), np.ones((2, 3), np.float32))

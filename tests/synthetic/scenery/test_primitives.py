@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from recast.synthetic.scenery.primitives import (
-    Panels,
+    SceneryPanels,
     at,
     boxes,
     lathe,
@@ -34,7 +34,7 @@ size = st.floats(0.1, 10)
 def test_box_volume(x: float, y: float, z: float, shift: float) -> None:
     surface = boxes((shift, 2, 3), (shift + x, 2 + y, 3 + z), GREY, "matte")
     assert volume(surface) == pytest.approx(x * y * z, rel=1e-6)
-    panels = Panels()
+    panels = SceneryPanels()
     panels.box((shift, 2, 3), (shift + x, 2 + y, 3 + z), GREY, "matte")
     assert volume(panels.surface()) == pytest.approx(x * y * z, rel=1e-6)
 

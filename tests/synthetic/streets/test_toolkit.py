@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from recast.synthetic.streets.ground import GRASS, PAVING, Band, Edge, Ground
-from recast.synthetic.streets.network import Arm, Network
+from recast.synthetic.streets.network import JunctionArm, StreetNetwork
 from recast.synthetic.streets.road import Road, Section
 from recast.synthetic.streets.shapes import (
     Decals,
@@ -92,13 +92,13 @@ class TestRoad:
         np.testing.assert_allclose(road.point(10.0, 3.0), [10.0, 3.0])
 
 
-def crossroads(barred: tuple[tuple[str, str], ...] = ()) -> Network:
+def crossroads(barred: tuple[tuple[str, str], ...] = ()) -> StreetNetwork:
     section = Section(2, 2, lane_width=3.4)
     arms = []
     for name, heading in (("east", 0.0), ("north", np.pi / 2), ("west", np.pi)):
         line = ReferenceLine.straight(Pose(0.0, 0.0, heading), 80.0)
-        arms.append(Arm(Road(name, line, section, 16.0, 80.0, 14.0, (0.0, 80.0)), False))
-    network = Network([arm.road for arm in arms])
+        arms.append(JunctionArm(Road(name, line, section, 16.0, 80.0, 14.0, (0.0, 80.0)), False))
+    network = StreetNetwork([arm.road for arm in arms])
     network.junction("x", arms, 10.0, barred)
     return network
 

@@ -20,7 +20,7 @@ from recast_tools.planner_data import reconstruction
 from recast_tools.planner_data.dataset import FIRST_SEED, make_dataset
 from recast_tools.planner_data.reconstruction import RECONSTRUCTED
 from recast_tools.planner_data.situation import draw_situation
-from recast_tools.planner_data.stage import Stage, make_stage, place_actor
+from recast_tools.planner_data.stage import SampleStage, make_stage, place_actor
 from recast_tools.planner_training.samples import (
     RENDERERS,
     DatasetRecord,
@@ -36,11 +36,11 @@ RECORD = DatasetRecord(per_world=2, speeds=1, seconds=14.0, scenes=("roundabout-
 
 
 @pytest.fixture(scope="module")
-def stage() -> Stage:
+def stage() -> SampleStage:
     return make_stage("roundabout-approach", FIRST_SEED, 14.0)
 
 
-def test_situations_are_possible_and_follow_the_generator(stage: Stage) -> None:
+def test_situations_are_possible_and_follow_the_generator(stage: SampleStage) -> None:
     for seed in range(6):
         found = draw_situation(stage, True, 3, np.random.default_rng(seed))
         again = draw_situation(stage, True, 3, np.random.default_rng(seed))
@@ -57,7 +57,7 @@ def test_situations_are_possible_and_follow_the_generator(stage: Stage) -> None:
         assert len(found.without_actor().obstacles) == len(found.obstacles) - 1
 
 
-def test_what_is_placed_is_where_a_run_could_have_brought_it(stage: Stage) -> None:
+def test_what_is_placed_is_where_a_run_could_have_brought_it(stage: SampleStage) -> None:
     """Played vehicles come with the ego's speed; the gap is that between the two boxes. In front of
     some the ego waits."""
     placed = [place_actor(stage, np.random.default_rng(seed)) for seed in range(90)]
@@ -95,7 +95,7 @@ def test_a_dataset_of_one_world(tmp_path: Path) -> None:
     assert all(path.stat().st_mtime_ns == then for path, then in written.items())
     with pytest.raises(InputError, match="settings"):
         make_dataset(out, 1, RECORD.model_copy(update={"seed": 1}), vocabulary)
-    with pytest.raises(InputError, match="another one"):
+    with pytest.raises(InputError, match="another folder"):
         make_dataset(out, 1, RECORD, make_vocabulary(64, seed=1))
 
 

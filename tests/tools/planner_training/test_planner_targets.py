@@ -8,12 +8,17 @@ from recast.dynamics import PACIFICA, make_state, plan_to_poses, track
 from recast.dynamics import state as ego
 from recast.geometry import boxes
 from recast.geometry.boxes import bev_touching
-from recast.planning.pdm import Forecast, Kind
+from recast.planning.pdm import AgentKind, Forecast
 from recast.planning.pdm.areas import EgoAreas
 from recast.planning.pdm.forecast import box_corners
 from recast.planning.pdm.scorer import at_fault_collisions, time_to_collision
 from recast_tools.planner_training.evaluate import true_scores
-from recast_tools.planner_training.targets import FORESEEN, Obstacle, collisions, score_vocabulary
+from recast_tools.planner_training.targets import (
+    FORESEEN,
+    TargetObstacle,
+    collisions,
+    score_vocabulary,
+)
 from recast_tools.planner_training.vocabulary import braking, mirror_index, smooth_braking
 from tools.planner_training.conftest import moving, straight_road
 
@@ -31,7 +36,7 @@ def test_collisions_are_those_of_pdm_s_own_loops(vocabulary: np.ndarray, seed: i
         car = moving(rng.uniform(9, 20), aside, way, rng.choice([0.0, 4.0, 9.0]))
         # PDM looks at obstacles every 0.2 s only.
         poses = car.poses[2 * (np.arange(FORESEEN + 1) // 2)]
-        obstacles.append(Obstacle(token, poses, car.size))
+        obstacles.append(TargetObstacle(token, poses, car.size))
     polygons = np.array(
         [
             [
@@ -45,7 +50,7 @@ def test_collisions_are_those_of_pdm_s_own_loops(vocabulary: np.ndarray, seed: i
     still = np.array([np.ptp(o.poses[:, :2]) == 0 for o in obstacles])
     seen = Forecast(
         tuple("abc"),
-        (Kind.VEHICLE,) * 3,
+        (AgentKind.VEHICLE,) * 3,
         np.zeros(3),
         np.where(still, 0.0, 4.0),
         polygons,

@@ -9,7 +9,7 @@ from rich.console import Console
 from recast.core.errors import InputError
 from recast.core.files import write_json
 from recast.planning import make_planner
-from recast.planning.gtrs import BackboneConfig, GtrsConfig, StageConfig
+from recast.planning.gtrs import BackboneConfig, BackboneStage, GtrsConfig
 from recast.training.state import STATE_FILE
 from recast.training.task import LOG_FILE, TrainerSettings, read_log_lines
 from recast_tools.planner_training.evaluate import truth_sheet
@@ -36,7 +36,7 @@ from recast_tools.planner_training.vocabulary import mirror_index
 TINY = GtrsConfig(
     backbone=BackboneConfig(
         stem=(4, 4, 8),
-        stages=(StageConfig(blocks=1, conv_channels=8, out_channels=12),),
+        stages=(BackboneStage(blocks=1, conv_channels=8, out_channels=12),),
         layers=1,
         frozen_norm=False,
     ),

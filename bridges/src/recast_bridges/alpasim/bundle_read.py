@@ -31,7 +31,7 @@ from recast.logs.map_json import parse_map
 from recast.logs.types import CameraStream, DrivingLog, Track, Trajectory
 from recast_bridges.alpasim.bundle import LABELS, MAP, METADATA, PINHOLE, RIG, TRACKS
 from recast_bridges.alpasim.bundle_records import (
-    CameraCalibration,
+    BundleCamera,
     Matrix,
     Metadata,
     PinholeParameters,
@@ -173,7 +173,7 @@ def _cameras(where: Path, rig: RigTrajectories, wanted: Sequence[str]) -> dict[s
 
 
 def _camera(
-    where: Path, name: str, key: str, calibrations: dict[str, CameraCalibration]
+    where: Path, name: str, key: str, calibrations: dict[str, BundleCamera]
 ) -> CameraStream:
     field, calibration = f"camera_calibrations.{key}", calibrations[key]
     model, mend = calibration.camera_model, "name the cameras to import, or none, with `cameras`"

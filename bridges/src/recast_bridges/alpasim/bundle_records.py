@@ -61,7 +61,7 @@ class _CameraModel(ForeignRecord):
     parameters: dict[str, Any]
 
 
-class CameraCalibration(ForeignRecord):
+class BundleCamera(ForeignRecord):
     """A camera: where it is, and its model."""
 
     logical_sensor_name: str
@@ -86,7 +86,7 @@ class RigTrajectories(ForeignRecord):
     """`rig_trajectories.json`: the ego and its cameras, of one drive."""
 
     world_to_nre: _WorldToNre
-    camera_calibrations: dict[str, CameraCalibration]
+    camera_calibrations: dict[str, BundleCamera]
     rig_trajectories: Annotated[list[RigTrajectory], Field(min_length=1, max_length=1)]
 
 

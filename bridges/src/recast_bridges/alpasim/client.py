@@ -13,7 +13,7 @@ from recast.core.errors import InputError
 from recast.core.workers import Closing
 from recast.geometry import se3
 from recast.logs.images import decode
-from recast.simulation.renderer import Mounted
+from recast.simulation.renderer import MountedRenderer
 from recast.simulation.state import SimState
 from recast_bridges.alpasim.calls import ServiceClient
 from recast_bridges.alpasim.cameras import camera_message
@@ -75,7 +75,7 @@ class SensorsimClient(ServiceClient):
         return tuple(self.call("get_available_cameras", request).available_cameras)
 
 
-class SensorsimRenderer(Mounted, Closing):
+class SensorsimRenderer(MountedRenderer, Closing):
     """Renders a scene of a SensorsimService; a `SensorRenderer` and a context manager.
 
     All cameras of a step are asked for in one call of `batch_render_rgb`, with the same pose at the

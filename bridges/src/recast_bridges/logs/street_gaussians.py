@@ -20,7 +20,7 @@ from recast.logs.importers.common import chosen_cameras, returns_valid
 from recast.logs.importers.waymo_proto import LICENCE
 from recast.logs.types import Array, CameraStream, DrivingLog, Track, Trajectory
 from recast_bridges.logs.processed_folder import FARTHEST, CameraFolder, find_scene, read_cameras
-from recast_bridges.logs.street_gaussians_frames import Drive, read_drive, read_lidar
+from recast_bridges.logs.street_gaussians_frames import TrainedFrames, read_drive, read_lidar
 
 CATEGORIES = {"vehicle": "car", "pedestrian": "pedestrian", "cyclist": "cyclist"}
 """Ours by the classes of the file that are reconstructed; it may hold others."""
@@ -64,7 +64,7 @@ def load_street_gaussians(
     )
 
 
-def _camera(scene: Path, camera: CameraFolder, drive: Drive) -> CameraStream:
+def _camera(scene: Path, camera: CameraFolder, drive: TrainedFrames) -> CameraStream:
     times = drive.image_times[camera.number]
     ordered = sorted(times, key=lambda frame: times[frame])
     stamps = np.array([times[frame] for frame in ordered], np.int64)
@@ -134,7 +134,7 @@ def _row(path: Path, where: str, words: list[str], mend: str) -> BoxRow:
     return BoxRow(where, frame, words[1], words[2].lower(), size, centre, heading)
 
 
-def read_tracks(path: Path, drive: Drive) -> dict[str, Track]:
+def read_tracks(path: Path, drive: TrainedFrames) -> dict[str, Track]:
     """Tracks by the file's own numbers, each box placed with its frame's vehicle pose.
 
     Raises:
@@ -168,7 +168,7 @@ def _vehicle_from_box(row: BoxRow) -> Array:
     return se3.from_rotation_translation(se3.rotation_z(row.heading), row.centre)
 
 
-def _check(path: Path, row: BoxRow, drive: Drive) -> None:
+def _check(path: Path, row: BoxRow, drive: TrainedFrames) -> None:
     if row.kind not in (*CATEGORIES, *LEFT_OUT):
         raise InputError(path, f"{row.where}: class", f"{row.kind!r} is unknown", _MEND)
     if row.frame not in drive.frame_times:

@@ -49,7 +49,7 @@ _CONVERT = (
 
 
 @dataclass(frozen=True)
-class Drive:
+class TrainedFrames:
     """Times and poses of a scene.
 
     Attributes:
@@ -67,7 +67,7 @@ class Drive:
     image_times: dict[int, dict[int, int]]
 
 
-def read_drive(scene: Path, cameras: Sequence[CameraFolder]) -> Drive:
+def read_drive(scene: Path, cameras: Sequence[CameraFolder]) -> TrainedFrames:
     """Read timestamps.json and ego_pose.
 
     Raises:
@@ -119,7 +119,7 @@ def read_drive(scene: Path, cameras: Sequence[CameraFolder]) -> Drive:
         if (distance := float(np.linalg.norm(beside))) > _BESIDE:
             problem = f"is {distance:.0f} m from the path of the images: mixed coordinate frames"
             raise InputError(path, "matrix", problem, _MEND)
-    return Drive(trajectory, offset, frame_times, world_from_frame, image_times)
+    return TrainedFrames(trajectory, offset, frame_times, world_from_frame, image_times)
 
 
 def _time(path: Path, times: Any, sensor: str, frame: int) -> int:
@@ -145,7 +145,7 @@ def _delay(starts_us: Int64Array, world_from_frame: Array, images: Trajectory) -
     return int(delays[np.argmin(np.median(away, axis=0))])
 
 
-def read_lidar(path: Path, drive: Drive) -> dict[str, LidarStream]:
+def read_lidar(path: Path, drive: TrainedFrames) -> dict[str, LidarStream]:
     """The sweeps of a file of one array (N, 3) for each frame; none where there is no such file.
 
     Raises:
@@ -181,7 +181,7 @@ class StreetGaussiansSweeps:
 
     path: Path
     names: tuple[str, ...]
-    drive: Drive
+    drive: TrainedFrames
 
     def __len__(self) -> int:
         """Number of sweeps."""

@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from recast.core.errors import InputError
-from recast.core.yaml_lines import Node, read_yaml_file
+from recast.core.yaml_lines import YamlNode, read_yaml_file
 from recast.logs.checks import WORLD_REACH, check_name
 
 _LARGEST_FILE = 1_000_000
@@ -138,11 +138,11 @@ def read_ncap_scenario(path: str | Path) -> NcapScenario:
 class _Members:
     """The members of a mapping by their names with underscores; all must be known."""
 
-    def __init__(self, node: Node, known: tuple[str, ...]) -> None:
+    def __init__(self, node: YamlNode, known: tuple[str, ...]) -> None:
         if not isinstance(node.value, dict):
             raise node.error(known[0], None, f"give the keys {', '.join(known)}")
         self._node = node
-        self._found: dict[str, Node] = {}
+        self._found: dict[str, YamlNode] = {}
         for written, member in node.value.items():
             key = written.replace("-", "_")
             if key not in known:
@@ -156,7 +156,7 @@ class _Members:
     def __contains__(self, key: str) -> bool:
         return key in self._found
 
-    def required(self, key: str) -> Node:
+    def required(self, key: str) -> YamlNode:
         if key not in self._found:
             raise self._node.error(key, "is missing", _MEND)
         return self._found[key]
@@ -189,20 +189,20 @@ class _Members:
             raise self.fault(key, None, f"give {' or '.join(known)}")
         return value
 
-    def several(self, key: str, least: int, read: Callable[[Node], Any]) -> tuple[Any, ...]:
+    def several(self, key: str, least: int, read: Callable[[YamlNode], Any]) -> tuple[Any, ...]:
         node = self.required(key)
         if not isinstance(node.value, list) or len(node.value) < least:
             raise node.error(key, None, f"give a list of {least} or more entries")
         return tuple(read(one) for one in node.value)
 
 
-def _number(node: Node, key: str, low: float, high: float) -> float:
+def _number(node: YamlNode, key: str, low: float, high: float) -> float:
     if not isinstance(node.value, float) or not low <= node.value <= high:
         raise node.error(key, None, f"give a number from {low:g} to {high:g}")
     return node.value
 
 
-def _uuid(node: Node) -> str:
+def _uuid(node: YamlNode) -> str:
     try:
         check_name("uuid", node.value)
     except ValueError:
@@ -211,7 +211,7 @@ def _uuid(node: Node) -> str:
     return uuid
 
 
-def _place(node: Node) -> tuple[float, ...]:
+def _place(node: YamlNode) -> tuple[float, ...]:
     if not isinstance(node.value, list) or len(node.value) != 3:
         raise node.error("positions", None, "give x, y and z in metres for each time")
     return tuple(_number(one, "positions", -WORLD_REACH, WORLD_REACH) for one in node.value)

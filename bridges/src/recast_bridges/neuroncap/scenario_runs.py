@@ -18,7 +18,7 @@ from recast.arrays import Array, Int64Array
 from recast.core.errors import InputError
 from recast.logs.importers.nuscenes import KEY_FRAMES
 from recast.logs.types import DrivingLog
-from recast.simulation import LogReplay, TimedPath
+from recast.simulation import LoggedMotion, TimedPath
 from recast_bridges.neuroncap.scenario_file import Jitter, NcapFileActor, NcapScenario
 
 MOST_RUNS = 100
@@ -44,7 +44,7 @@ class NcapRun:
     seed: int
     target: str
     steps: int
-    motions: dict[str, TimedPath | LogReplay]
+    motions: dict[str, TimedPath | LoggedMotion]
 
     @property
     def kinds(self) -> tuple[tuple[str, type], ...]:
@@ -123,13 +123,13 @@ class _Draw:
             raise self._fault(
                 "begins before the log, or ends within its priming steps", "use another log"
             )
-        motions: dict[str, TimedPath | LogReplay] = {}
+        motions: dict[str, TimedPath | LoggedMotion] = {}
         targets: list[str] = []
         for actor, uuid, places, yaw in self._actors():
             if uuid in motions:
                 raise self._fault(f"has the track {uuid} twice", "give each actor different uuids")
             setting = f"run-{self._seed}"
-            motions[uuid] = LogReplay(setting)
+            motions[uuid] = LoggedMotion(setting)
             if not actor.optimized:
                 path = _path(actor.times, places, yaw, samples)
                 path[:, 0] -= seconds[driven]

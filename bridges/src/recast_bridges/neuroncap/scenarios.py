@@ -13,7 +13,7 @@ import yaml
 from recast.core import files
 from recast.logs.types import DrivingLog
 from recast.simulation import (
-    LogReplay,
+    LoggedMotion,
     Scenario,
     ScenarioActor,
     ScriptedMotion,
@@ -98,7 +98,7 @@ def _scenario(run: NcapRun, name: str, description: str) -> ScriptedMotion:
     return Scenario(name, setting, motion, further, description) if further else motion
 
 
-def _named(motion: TimedPath | LogReplay) -> AnyMotion:
+def _named(motion: TimedPath | LoggedMotion) -> AnyMotion:
     """With the name that a file gives a further actor's motion."""
     if isinstance(motion, TimedPath):
         return TimedPath(motion.setting, motion.path)

@@ -11,7 +11,7 @@ from recast.core.names import folder_name
 from recast.logs.hdmap import HdMap
 from recast_bridges.openx.entities import Played
 from recast_bridges.openx.opendrive import (
-    LeftOut,
+    LeftOutLinks,
     lane_differences,
     read_opendrive,
     write_opendrive,
@@ -52,7 +52,7 @@ class ExportedRoads:
     lanes: int
     metres: float
     centreline_metres: float
-    left_out: LeftOut
+    left_out: LeftOutLinks
 
 
 def export_openx(

@@ -36,7 +36,7 @@ class End(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Network:
+class LaneNetwork:
     """Roads and their links. Roads and junctions have numbers from 0, each kind for itself.
 
     Attributes:
@@ -57,7 +57,7 @@ class Network:
     parted: int
 
 
-def network(lanes: Mapping[str, Lane]) -> Network:
+def network(lanes: Mapping[str, Lane]) -> LaneNetwork:
     """The roads of a map, and their links as roads and junctions."""
     rows = roads = _beside_each_other(lanes)
     least = _linked(lanes, [(key,) for key in lanes])[0].left_out
@@ -168,7 +168,7 @@ def _gaps(lanes: Mapping[str, Lane], roads: Sequence[tuple[str, ...]]) -> list[t
 
 def _linked(
     lanes: Mapping[str, Lane], roads: Sequence[tuple[str, ...]]
-) -> tuple[Network, list[tuple[int, int]]]:
+) -> tuple[LaneNetwork, list[tuple[int, int]]]:
     """Links of roads, and the pairs of roads whose link was left out."""
     road_of = {key: i for i, road in enumerate(roads) for key in road}
     of_lanes = [
@@ -218,7 +218,7 @@ def _linked(
         for other in (lane.right_neighbour,)
     )
     left_out = sum(pair in lost for pair in of_lanes)
-    told = Network(tuple(roads), before, after, junction, connections, left_out, parted)
+    told = LaneNetwork(tuple(roads), before, after, junction, connections, left_out, parted)
     return told, lost
 
 

@@ -23,7 +23,7 @@ from recast.core.files import write_bytes
 from recast.logs.checks import WORLD_REACH
 from recast.logs.hdmap import FASTEST, HdMap, Lane
 from recast_bridges.openx import reference_line
-from recast_bridges.openx.junctions import Network, network
+from recast_bridges.openx.junctions import LaneNetwork, network
 from recast_bridges.openx.read import XmlFile
 
 _STEP = 0.05
@@ -61,7 +61,7 @@ class RoadLane:
 
 
 @dataclass(frozen=True)
-class LeftOut:
+class LeftOutLinks:
     """What the format cannot express of a map.
 
     Attributes:
@@ -73,7 +73,7 @@ class LeftOut:
     neighbours: int
 
 
-def write_opendrive(path: str | Path, hdmap: HdMap, name: str) -> LeftOut:
+def write_opendrive(path: str | Path, hdmap: HdMap, name: str) -> LeftOutLinks:
     """Write a map's lanes, whole or not at all.
 
     Args:
@@ -103,7 +103,7 @@ def write_opendrive(path: str | Path, hdmap: HdMap, name: str) -> LeftOut:
     ET.indent(root)
     data = ET.tostring(root, encoding="utf-8", xml_declaration=True)
     write_bytes(path, data + b"\n")
-    return LeftOut(links.left_out, links.parted)
+    return LeftOutLinks(links.left_out, links.parted)
 
 
 def _add(parent: ET.Element, tag: str, **attributes: object) -> ET.Element:
@@ -115,7 +115,7 @@ def _road(
     number: int,
     hdmap: HdMap,
     place: dict[str, tuple[int, int]],
-    links: Network,
+    links: LaneNetwork,
 ) -> None:
     keys = links.roads[number]
     lanes = [hdmap.lanes[key] for key in keys]

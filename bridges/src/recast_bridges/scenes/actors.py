@@ -20,7 +20,7 @@ from recast.scene.dynamic import CLOCK_TOLERANCE_US, stands
 from recast.scene.street_scene import SceneActor
 from recast.splats import Gaussians
 from recast.splats.sh import rotate
-from recast_bridges.scenes.checkpoint import Table
+from recast_bridges.scenes.checkpoint import CheckpointTable
 
 TURNING = "harmonics of actors turn with the actor; in the checkpoint they do not"
 FAR_M = 2.0
@@ -56,7 +56,10 @@ def read_track_names(path: Path | None) -> dict[str, str]:
 
 
 def check_names(
-    table: Table, found: Sequence[str], tracks: Mapping[str, str], leave_out: Sequence[str]
+    table: CheckpointTable,
+    found: Sequence[str],
+    tracks: Mapping[str, str],
+    leave_out: Sequence[str],
 ) -> None:
     """Refuse names, to be left out or told the track of, that the checkpoint does not have.
 
@@ -73,7 +76,9 @@ def check_names(
             )
 
 
-def track_of(table: Table, log: DrivingLog, name: str, candidates: Sequence[str]) -> Track:
+def track_of(
+    table: CheckpointTable, log: DrivingLog, name: str, candidates: Sequence[str]
+) -> Track:
     """The log's track for an actor: the first of `candidates` that there is.
 
     Raises:
@@ -105,7 +110,7 @@ def colours_in_own_frame(
 
 
 def choose_tracks(
-    models: Table,
+    models: CheckpointTable,
     log: DrivingLog,
     trajectories: Mapping[str, Trajectory],
     given: Mapping[str, str],
@@ -151,7 +156,7 @@ def choose_tracks(
 
 
 def find_tracks(
-    table: Table,
+    table: CheckpointTable,
     log: DrivingLog,
     trajectories: Mapping[str, Trajectory],
     given: Mapping[str, str],
@@ -187,7 +192,10 @@ def find_tracks(
 
 
 def as_tracks(
-    table: Table, log: DrivingLog, found: Mapping[str, SceneActor], tracks: Mapping[str, str]
+    table: CheckpointTable,
+    log: DrivingLog,
+    found: Mapping[str, SceneActor],
+    tracks: Mapping[str, str],
 ) -> tuple[dict[str, SceneActor], list[str]]:
     """The actors of a scene by track id with the sizes of the tracks, and what to tell of it.
 

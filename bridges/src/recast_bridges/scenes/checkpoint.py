@@ -24,7 +24,7 @@ RESAMPLED = "sky cubemap, resampled"
 NO_SKY = "sky: the checkpoint has none; it is black"
 
 
-class Table:
+class CheckpointTable:
     """One table of a checkpoint; errors name the file and the whole key, such as obj_003.xyz."""
 
     def __init__(self, path: Path, content: Mapping[str, Any], prefix: str = "") -> None:
@@ -46,7 +46,7 @@ class Table:
         """The error for a member."""
         return InputError(self.path, self.key(name), problem, mend)
 
-    def table(self, name: str) -> Table:
+    def table(self, name: str) -> CheckpointTable:
         """The table under `name`.
 
         Raises:
@@ -55,21 +55,21 @@ class Table:
         value = self._member(name)
         if not isinstance(value, Mapping) or not all(isinstance(key, str) for key in value):
             raise self.fault(name, f"is {type(value).__name__}, not a table of tensors")
-        return Table(self.path, value, self.key(name))
+        return CheckpointTable(self.path, value, self.key(name))
 
     def raw(self, name: str) -> Any:
         """A member as it is; None if it is missing."""
         return self._content.get(name)
 
-    def below(self, prefix: str) -> Table:
+    def below(self, prefix: str) -> CheckpointTable:
         """The members whose names begin with `prefix` and a dot, without these."""
         start = f"{prefix}."
         own = {k.removeprefix(start): v for k, v in self._content.items() if k.startswith(start)}
-        return Table(self.path, own, self.key(prefix))
+        return CheckpointTable(self.path, own, self.key(prefix))
 
-    def changed(self, members: Mapping[str, Tensor]) -> Table:
+    def changed(self, members: Mapping[str, Tensor]) -> CheckpointTable:
         """The table with other members in the place of some."""
-        return Table(self.path, {**self._content, **members}, self.prefix)
+        return CheckpointTable(self.path, {**self._content, **members}, self.prefix)
 
     def iteration(self, name: str) -> int | None:
         """A number of steps, from 0 to 2^53; None where there is none.
@@ -172,7 +172,7 @@ class Table:
         return self._content[name]
 
 
-def read_checkpoint(path: str | Path, arrays: bool = False) -> Table:
+def read_checkpoint(path: str | Path, arrays: bool = False) -> CheckpointTable:
     """Read a checkpoint; nothing but tensors and plain values is unpickled.
 
     Args:
@@ -185,7 +185,7 @@ def read_checkpoint(path: str | Path, arrays: bool = False) -> Table:
     content = read_torch_file(path, "copy it again", arrays=arrays)
     if not isinstance(content, Mapping) or not all(isinstance(key, str) for key in content):
         raise InputError(path, "file", f"holds {type(content).__name__}, not a table", MEND)
-    return Table(path, content)
+    return CheckpointTable(path, content)
 
 
 @dataclass(frozen=True)
@@ -199,7 +199,7 @@ class Names:
     logit_opacities: str
 
 
-def read_gaussians(table: Table, names: Names, constant: Tensor) -> Gaussians:
+def read_gaussians(table: CheckpointTable, names: Names, constant: Tensor) -> Gaussians:
     """The Gaussians of a table; their centres are float64, to be placed before they are rounded.
 
     Args:
@@ -229,11 +229,11 @@ def read_gaussians(table: Table, names: Names, constant: Tensor) -> Gaussians:
     return found
 
 
-def read_harmonics(table: Table, name: str, count: int, degree: float) -> Tensor:
+def read_harmonics(table: CheckpointTable, name: str, count: int, degree: float) -> Tensor:
     """View-dependent harmonics (N, (degree + 1)^2 - 1, 3); those of higher degrees are cut off.
 
     Raises:
-        InputError: see `Table.tensor`; or the table has fewer.
+        InputError: see `CheckpointTable.tensor`; or the table has fewer.
     """
     rest = table.tensor(name, count, None, 3)
     wanted = (int(degree) + 1) ** 2 - 1
@@ -243,14 +243,16 @@ def read_harmonics(table: Table, name: str, count: int, degree: float) -> Tensor
     return rest[:, :wanted]
 
 
-def unused_members(tables: Iterable[Table], names: Names, others: Sequence[str]) -> list[str]:
+def unused_members(
+    tables: Iterable[CheckpointTable], names: Names, others: Sequence[str]
+) -> list[str]:
     """A sentence on what the tables hold beside Gaussians and `others`; none where that is all."""
     known = {*astuple(names), *others}
     found = sorted({name for table in tables for name in table if name not in known})
     return [f"in the models: {', '.join(found)}"] if found else []
 
 
-def read_faces(table: Table, name: str) -> Tensor:
+def read_faces(table: CheckpointTable, name: str) -> Tensor:
     """A checkpoint's cubemap (6, R, R, 3).
 
     Raises:

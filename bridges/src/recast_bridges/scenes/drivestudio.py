@@ -21,7 +21,7 @@ from recast.logs import DrivingLog, Trajectory
 from recast.scene.appearance import exposed, exposed_colours
 from recast.scene.imported import (
     ImportRecord,
-    Placement,
+    ScenePlacement,
     frame_times,
     given_placement,
     write_imported,
@@ -42,8 +42,8 @@ from recast_bridges.scenes.actors import (
 from recast_bridges.scenes.checkpoint import (
     NO_SKY,
     RESAMPLED,
+    CheckpointTable,
     Names,
-    Table,
     read_checkpoint,
     read_faces,
     read_gaussians,
@@ -165,11 +165,11 @@ def _placement(
     first_frame: int,
     processed: Path | None,
     world_from_scene: Path | None,
-) -> Placement:
+) -> ScenePlacement:
     if world_from_scene is not None:
         return given_placement(world_from_scene)
     if processed is None:
-        return Placement(
+        return ScenePlacement(
             log.world_from_rig.at(start_us),
             f"the log's rig at frame {first_frame} ({start_us} us), which is the origin "
             "where the rig is the vehicle frame of the training, as on Waymo",
@@ -179,10 +179,10 @@ def _placement(
         name = f"extrinsics/{first_frame:03d}_0.txt"  # the world is the first camera's first pose
     moved = read_pose(processed / name)
     moved[:3, 3] -= log.world_offset
-    return Placement(moved, f"{name} of the processed folder")
+    return ScenePlacement(moved, f"{name} of the processed folder")
 
 
-def _changed(models: Table, tracks: Mapping[str, str], distance: float) -> list[str]:
+def _changed(models: CheckpointTable, tracks: Mapping[str, str], distance: float) -> list[str]:
     changed = []
     if tracks:
         changed.append(TURNING)
@@ -197,7 +197,7 @@ def _changed(models: Table, tracks: Mapping[str, str], distance: float) -> list[
     return changed
 
 
-def _left_out(models: Table) -> list[str]:
+def _left_out(models: CheckpointTable) -> list[str]:
     left_out = [f"{name}: {what}" for name, what in _LEFT_OUT.items() if name in models]
     if "Sky" not in models:
         left_out.append(NO_SKY)
@@ -224,13 +224,13 @@ class Instance:
     trajectory: Trajectory
 
 
-def read_constant(table: Table) -> Tensor:
+def read_constant(table: CheckpointTable) -> Tensor:
     """Constant harmonics (N, 3)."""
     return table.tensor(CONSTANT, None, 3)
 
 
 def read_instances(
-    table: Table, times_us: Int64Array, world_from_scene: Array
+    table: CheckpointTable, times_us: Int64Array, world_from_scene: Array
 ) -> dict[str, Instance]:
     """The actors of `RigidNodes` that are there in any frame, by their index as text.
 
@@ -274,7 +274,7 @@ def read_instances(
     return found
 
 
-def mean_affine(table: Table) -> Tensor:
+def mean_affine(table: CheckpointTable) -> Tensor:
     """The colour transform (3, 4) that the trainer uses for views it was not trained on.
 
     [I | 0] plus a network's output for the mean of the images' embeddings: one hidden layer with

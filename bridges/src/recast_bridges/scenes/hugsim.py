@@ -21,7 +21,7 @@ from recast.geometry import se3
 from recast.logs import CameraStream, DrivingLog, Trajectory
 from recast.scene.imported import (
     ImportRecord,
-    Placement,
+    ScenePlacement,
     given_placement,
     write_imported,
 )
@@ -188,7 +188,7 @@ def start_time(log: DrivingLog, stream: CameraStream, first_frame: int) -> int:
 
 def _placement(
     log: DrivingLog, stream: CameraStream, start_us: int, poses: Array, given: Path | None
-) -> tuple[Placement, list[str]]:
+) -> tuple[ScenePlacement, list[str]]:
     """Where the scene lies in the log, and what looks wrong with it.
 
     Args:
@@ -199,7 +199,7 @@ def _placement(
     else:
         world_from_camera = log.world_from_rig.at(start_us) @ stream.rig_from_camera
         pose = world_from_camera @ se3.inverse(poses[0])
-        placement = Placement(pose, f"the pose of {stream.name} at {start_us} us")
+        placement = ScenePlacement(pose, f"the pose of {stream.name} at {start_us} us")
     path = (log.world_from_rig.poses @ stream.rig_from_camera)[:, :3, 3]
     places = (placement.world_from_scene @ poses)[:, :3, 3]
     distance = float(np.median(distances_to_path(places, path)))

@@ -25,7 +25,7 @@ from recast.geometry import se3
 from recast.logs.checks import WORLD_REACH, refused
 from recast.splats import Gaussians
 from recast.splats.sh import MAX_DEGREE
-from recast_bridges.scenes.checkpoint import Names, Table, read_gaussians, read_harmonics
+from recast_bridges.scenes.checkpoint import CheckpointTable, Names, read_gaussians, read_harmonics
 
 FIELDS = (
     *("active_sh_degree", "xyz", "features_dc", "features_rest"),
@@ -40,7 +40,7 @@ THICKNESS_M = 0.001
 _MEND = "give a scene as HUGSIM exports it; see docs/howto/published_streets.md"
 
 
-def read_members(path: Path) -> tuple[Table, int | None]:
+def read_members(path: Path) -> tuple[CheckpointTable, int | None]:
     """The members of a tuple of Gaussians by name, a ground's among them; its training step.
 
     Raises:
@@ -54,7 +54,7 @@ def read_members(path: Path) -> tuple[Table, int | None]:
     members = _named(path, "Gaussians", own)
     if len(own) in (11, 15):  # a whole scene, as of now and as it was saved at first
         members |= {"appearance": own[-2], "ground": own[-1]}
-    return Table(path, members), step
+    return CheckpointTable(path, members), step
 
 
 def _named(path: Path, field: str, members: Any) -> dict[str, Any]:
@@ -63,7 +63,7 @@ def _named(path: Path, field: str, members: Any) -> dict[str, Any]:
     return dict(zip(FIELDS, members, strict=False))
 
 
-def read_ground(table: Table) -> Table | None:
+def read_ground(table: CheckpointTable) -> CheckpointTable | None:
     """The ground's members by name, or None if the scene has no ground of its own.
 
     Raises:
@@ -71,10 +71,10 @@ def read_ground(table: Table) -> Table | None:
     """
     if table.raw("ground") is None:
         return None
-    return Table(table.path, _named(table.path, "ground", table.raw("ground")), "ground")
+    return CheckpointTable(table.path, _named(table.path, "ground", table.raw("ground")), "ground")
 
 
-def read_hugsim_gaussians(table: Table, flat: bool = False) -> Gaussians:
+def read_hugsim_gaussians(table: CheckpointTable, flat: bool = False) -> Gaussians:
     """The Gaussians of a tuple, in its own axes.
 
     Args:
@@ -106,7 +106,7 @@ def read_camera_poses(path: Path) -> tuple[Array, float]:
     content = read_pickle(path, _MEND)
     if not isinstance(content, tuple | list) or len(content) != 3:
         raise InputError(path, "pickle", "is not a triple of poses, height and commands", _MEND)
-    table = Table(path, {"cam_poses": content[0], "cam_height": content[1]})
+    table = CheckpointTable(path, {"cam_poses": content[0], "cam_height": content[1]})
     poses = rigid_poses(table, "cam_poses", table.array("cam_poses"))
     height = table.number("cam_height")
     if not 0 <= height <= 10:
@@ -114,7 +114,7 @@ def read_camera_poses(path: Path) -> tuple[Array, float]:
     return poses, height
 
 
-def rigid_poses(table: Table, name: str, poses: Array) -> Array:
+def rigid_poses(table: CheckpointTable, name: str, poses: Array) -> Array:
     """Poses (F, 4, 4) of a member, checked.
 
     Raises:
@@ -156,11 +156,11 @@ def read_recordings(path: Path) -> dict[str, Recording]:
     frames = value.get("frames") if isinstance(value, dict) else None
     if not isinstance(frames, list) or not frames:
         raise InputError(path, "frames", "is not a list, or empty", _MEND)
-    rows: dict[str, list[tuple[float, Array, Table]]] = {}
+    rows: dict[str, list[tuple[float, Array, CheckpointTable]]] = {}
     for index, row in enumerate(frames):
         if not isinstance(row, dict):
             raise InputError(path, f"frames[{index}]", "is not a table", _MEND)
-        frame = Table(path, row, f"frames[{index}]")
+        frame = CheckpointTable(path, row, f"frames[{index}]")
         pose = rigid_poses(frame, "camtoworld", frame.array("camtoworld")[None])[0]
         name = PurePosixPath(frame.text("rgb_path")).parent.name or "camera"
         rows.setdefault(name, []).append((frame.number("timestamp"), pose, frame))
@@ -175,7 +175,7 @@ def read_recordings(path: Path) -> dict[str, Recording]:
     return found
 
 
-def _intrinsics(frame: Table) -> PinholeCamera:
+def _intrinsics(frame: CheckpointTable) -> PinholeCamera:
     matrix, width, height = frame.array("intrinsics"), frame.number("width"), frame.number("height")
     if matrix.shape not in ((3, 3), (4, 4)) or not (1 <= width <= 1e5 and 1 <= height <= 1e5):
         raise frame.fault("intrinsics", "or width or height: are not valid for a camera", _MEND)
@@ -207,7 +207,7 @@ def read_unicycle(path: Path) -> tuple[Array, Array]:
     content = read_torch_file(path, "copy it again", arrays=True)
     if not isinstance(content, tuple | list) or len(content) != len(MOTION):
         raise InputError(path, "file", f"is not a tuple of {len(MOTION)} members", _MEND)
-    table = Table(path, dict(zip(MOTION, content, strict=True)))
+    table = CheckpointTable(path, dict(zip(MOTION, content, strict=True)))
     times = table.array("train_timestamp").reshape(-1)
     count = len(times)
     if count == 0 or not np.all(np.abs(times) < 1e15) or not np.all(np.diff(times) > 0):
@@ -223,7 +223,7 @@ def read_unicycle(path: Path) -> tuple[Array, Array]:
     return times, se3.from_rotation_translation(turns, places)
 
 
-def _values(table: Table, name: str, count: int, width: int) -> Array:
+def _values(table: CheckpointTable, name: str, count: int, width: int) -> Array:
     found = table.array(name)
     if found.size != count * width or not np.all(np.abs(found) <= WORLD_REACH):  # also NaN
         raise table.fault(name, f"has no {count * width} values that are finite and in range")

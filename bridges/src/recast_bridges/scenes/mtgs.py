@@ -16,7 +16,7 @@ from recast.core.errors import InputError
 from recast.core.files import require_new
 from recast.geometry import se3
 from recast.logs import DrivingLog
-from recast.scene.imported import ImportRecord, Placement, write_imported
+from recast.scene.imported import ImportRecord, ScenePlacement, write_imported
 from recast.scene.sky import sky_from_cubemap
 from recast.scene.street_scene import SceneActor, StreetScene
 from recast.splats import concatenate
@@ -31,7 +31,7 @@ from recast_bridges.scenes.actors import (
     find_tracks,
     read_track_names,
 )
-from recast_bridges.scenes.checkpoint import NO_SKY, RESAMPLED, Table, read_checkpoint
+from recast_bridges.scenes.checkpoint import NO_SKY, RESAMPLED, CheckpointTable, read_checkpoint
 from recast_bridges.scenes.drivestudio import CUBE_FROM_SCENE
 from recast_bridges.scenes.mtgs_frames import (
     FRAMES_FILE,
@@ -44,7 +44,7 @@ from recast_bridges.scenes.mtgs_nodes import (
     NAMES,
     RIGID,
     SCENERY,
-    Node,
+    MtgsNode,
     read_gaussian_node,
     read_motion,
 )
@@ -194,16 +194,18 @@ def find_checkpoint(path: Path) -> tuple[Path | None, Path]:
     return path, found[0]
 
 
-def read_nodes(root: Table, leave_out: Sequence[str]) -> tuple[dict[str, Node], list[str]]:
+def read_nodes(
+    root: CheckpointTable, leave_out: Sequence[str]
+) -> tuple[dict[str, MtgsNode], list[str]]:
     """The nodes that are read, by token with the background first; what is left out."""
-    nodes: dict[str, Node] = {}
+    nodes: dict[str, MtgsNode] = {}
     left_out = []
     tokens = [name.rpartition("_")[2] for name in root]
     for name in leave_out:
         if name not in tokens:
             raise root.fault(name, "is to be left out, but is not in the checkpoint", "check it")
     for name, token in sorted(zip(root, tokens, strict=True), key=lambda p: p[1] != "background"):
-        node = Node.of(root, name, token)
+        node = MtgsNode.of(root, name, token)
         if token in leave_out:
             left_out.append(f"{token}: left out as requested")
         elif node.kind not in (*SCENERY, RIGID, MIRRORED):
@@ -215,7 +217,9 @@ def read_nodes(root: Table, leave_out: Sequence[str]) -> tuple[dict[str, Node], 
     return nodes, left_out
 
 
-def _placement(root: Table, log: DrivingLog, folder: Path | None) -> tuple[Placement, list[str]]:
+def _placement(
+    root: CheckpointTable, log: DrivingLog, folder: Path | None
+) -> tuple[ScenePlacement, list[str]]:
     """Where the scene lies in the log, and what looks wrong with it."""
     config = root.table("background").table("config")
     pose = se3.from_rotation_translation(np.eye(3), read_shift(config) - log.world_offset)
@@ -231,4 +235,4 @@ def _placement(root: Table, log: DrivingLog, folder: Path | None) -> tuple[Place
         how += f"; its ego is {distance:.2f} m from the log's (median of {count} frames)"
         if distance > SUSPICIOUS_M:
             warnings.append(f"the ego of the scene is {distance:.2f} m from the log's")
-    return Placement(pose, how), warnings
+    return ScenePlacement(pose, how), warnings

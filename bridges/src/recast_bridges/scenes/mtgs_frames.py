@@ -17,13 +17,13 @@ from recast.core.pickled import read_pickle
 from recast.geometry import se3
 from recast.logs import DrivingLog
 from recast.logs.checks import LATEST_US, WORLD_REACH
-from recast_bridges.scenes.checkpoint import Table
+from recast_bridges.scenes.checkpoint import CheckpointTable
 
 FRAMES_FILE = "video_scene_dict.pkl"
 _MEND = "name the checkpoint itself to import it without the recorded frames"
 
 
-def read_drives(path: Path) -> dict[str, list[Table]]:
+def read_drives(path: Path) -> dict[str, list[CheckpointTable]]:
     """The frames of each recorded drive, by the drive's token.
 
     Raises:
@@ -43,12 +43,13 @@ def read_drives(path: Path) -> dict[str, list[Table]]:
             if not isinstance(row, Mapping):
                 raise InputError(path, f"{name}.frame_infos[{index}]", "is not a table", _MEND)
         found[str(name)] = [
-            Table(path, row, f"{name}.frame_infos[{index}]") for index, row in enumerate(rows)
+            CheckpointTable(path, row, f"{name}.frame_infos[{index}]")
+            for index, row in enumerate(rows)
         ]
     return found
 
 
-def read_places(frames: Sequence[Table]) -> tuple[Int64Array, Array]:
+def read_places(frames: Sequence[CheckpointTable]) -> tuple[Int64Array, Array]:
     """Times (F,) in microseconds and places (F, 3) of the ego in the scene.
 
     Raises:

@@ -22,7 +22,7 @@ from recast.logs import CameraStream, DrivingLog, Track, Trajectory
 from recast.logs.checks import refused
 from recast.scene.imported import ImportRecord, import_with_log
 from recast_bridges.scenes.actors import extent
-from recast_bridges.scenes.checkpoint import Table, read_checkpoint
+from recast_bridges.scenes.checkpoint import CheckpointTable, read_checkpoint
 from recast_bridges.scenes.mtgs import find_checkpoint, import_mtgs, read_nodes
 from recast_bridges.scenes.mtgs_frames import FRAMES_FILE, read_drives, read_places
 from recast_bridges.scenes.mtgs_nodes import NAMES, SCENERY, read_motion
@@ -95,7 +95,7 @@ def mtgs_log(path: str | Path) -> DrivingLog:
     return log
 
 
-def _ego_pose(frame: Table) -> Array:
+def _ego_pose(frame: CheckpointTable) -> Array:
     """(4, 4) of the ego in the scene; `read_places` has checked the place."""
     if "ego2global" in frame:
         pose = frame.array("ego2global")
@@ -104,7 +104,7 @@ def _ego_pose(frame: Table) -> Array:
     return _placed(frame, "ego2global_rotation", "ego2global_translation")
 
 
-def _placed(table: Table, rotation: str, translation: str) -> Array:
+def _placed(table: CheckpointTable, rotation: str, translation: str) -> Array:
     """(4, 4) of a quaternion wxyz or a matrix, and three metres."""
     turn, place = table.array(rotation), table.array(translation).reshape(-1)
     if turn.shape == (4,) and 1e-6 < np.linalg.norm(turn) < 1e6:
@@ -116,12 +116,12 @@ def _placed(table: Table, rotation: str, translation: str) -> Array:
     return se3.from_rotation_translation(turn, place)
 
 
-def _cameras(frame: Table) -> dict[str, Table]:
+def _cameras(frame: CheckpointTable) -> dict[str, CheckpointTable]:
     cameras = frame.table("cams")
     return {name: cameras.table(name) for name in cameras}
 
 
-def _camera(name: str, own: Table) -> CameraStream:
+def _camera(name: str, own: CheckpointTable) -> CameraStream:
     """A camera without images; the intrinsics that were refined for the training are preferred."""
     lens = own.table("colmap_param") if "colmap_param" in own else own
     matrix, bend = lens.array("cam_intrinsic"), lens.array("distortion").reshape(-1)
@@ -138,7 +138,7 @@ def _camera(name: str, own: Table) -> CameraStream:
     return CameraStream(name, camera, mount, np.zeros(0, np.int64), [])
 
 
-def _categories(frames: Sequence[Table]) -> dict[str, str]:
+def _categories(frames: Sequence[CheckpointTable]) -> dict[str, str]:
     """The category of each token that the frames name."""
     found: dict[str, str] = {}
     for frame in frames:
@@ -148,7 +148,7 @@ def _categories(frames: Sequence[Table]) -> dict[str, str]:
 
 
 def _tracks(
-    root: Table, log: DrivingLog, world_from_scene: Array, categories: Mapping[str, str]
+    root: CheckpointTable, log: DrivingLog, world_from_scene: Array, categories: Mapping[str, str]
 ) -> dict[str, Track]:
     """The actors that are there in the log's time; a vehicle where no category is known."""
     first, last = log.world_from_rig.timestamps_us[[0, -1]]

@@ -16,7 +16,7 @@ from recast.logs.checks import WORLD_REACH
 from recast.scene.appearance import mirrored
 from recast.splats import Gaussians, concatenate
 from recast.splats.sh import C0, MAX_DEGREE
-from recast_bridges.scenes.checkpoint import Names, Table, read_gaussians, read_harmonics
+from recast_bridges.scenes.checkpoint import CheckpointTable, Names, read_gaussians, read_harmonics
 from recast_bridges.scenes.mtgs_odyssey import GROUND, ground_members
 
 SCENERY = ("VanillaGaussianSplattingModel", "SkyboxGaussianSplattingModel", GROUND)
@@ -30,7 +30,7 @@ _ANGLES = 360
 
 
 @dataclass(frozen=True)
-class Node:
+class MtgsNode:
     """One model of the checkpoint.
 
     Attributes:
@@ -41,12 +41,12 @@ class Node:
 
     token: str
     kind: str
-    config: Table
-    state: Table
-    gaussians: Table
+    config: CheckpointTable
+    state: CheckpointTable
+    gaussians: CheckpointTable
 
     @classmethod
-    def of(cls, root: Table, name: str, token: str) -> Node:
+    def of(cls, root: CheckpointTable, name: str, token: str) -> MtgsNode:
         """The node `name` of a checkpoint.
 
         Raises:
@@ -75,7 +75,7 @@ def fourier_terms(time: Tensor, terms: int, scale: float, angle: bool) -> Tensor
     return torch.where(even, torch.cos(phase * order), torch.sin(phase * (order + 1)))
 
 
-def read_gaussian_node(node: Node, share: float) -> Gaussians:
+def read_gaussian_node(node: MtgsNode, share: float) -> Gaussians:
     """The Gaussians of a node in its own frame, harmonics in the axes of the scene.
 
     Args:
@@ -108,7 +108,7 @@ def read_gaussian_node(node: Node, share: float) -> Gaussians:
     return concatenate([found, mirrored(found, torch.ones(count, dtype=torch.bool))])
 
 
-def _constant(node: Node, count: int, share: float) -> Tensor:
+def _constant(node: MtgsNode, count: int, share: float) -> Tensor:
     """Constant colours (N, 3) at a share of the time, or averaged over all angles of view."""
     if not node.changing:
         return node.gaussians.tensor(CONSTANT, count, 3)
@@ -128,7 +128,7 @@ def _constant(node: Node, count: int, share: float) -> Tensor:
 
 
 @dataclass(frozen=True)
-class Motion:
+class MtgsMotion:
     """Where an actor is.
 
     Attributes:
@@ -148,7 +148,7 @@ class Motion:
         return bool(times[0] <= last and times[-1] >= first)
 
 
-def read_motion(node: Node, log: DrivingLog, world_from_scene: Array) -> Motion | None:
+def read_motion(node: MtgsNode, log: DrivingLog, world_from_scene: Array) -> MtgsMotion | None:
     """The places of an actor, or None if it is there in no frame, or in one of many.
 
     An actor with one pose for the whole drive has it at the log's first and last time.
@@ -180,7 +180,7 @@ def read_motion(node: Node, log: DrivingLog, world_from_scene: Array) -> Motion 
     )
     if static:
         ends = log.world_from_rig.timestamps_us[[0, -1]].copy()
-        return Motion(Trajectory(ends, np.repeat(poses, 2, axis=0)), static=True, gaps=False)
+        return MtgsMotion(Trajectory(ends, np.repeat(poses, 2, axis=0)), static=True, gaps=False)
     times = config.array("log_timestamps").reshape(-1)
     if len(times) != len(places):
         raise config.fault("log_timestamps", f"has {len(times)} times for {len(places)} poses")
@@ -188,10 +188,10 @@ def read_motion(node: Node, log: DrivingLog, world_from_scene: Array) -> Motion 
     if not np.all((own >= 0) & (own < 2.0**53)) or not np.all(np.diff(own.round()) > 0):
         raise config.fault("log_timestamps", "are not microseconds that increase")
     gaps = bool(np.any(np.diff(rows) > 1))
-    return Motion(Trajectory(own.round().astype(np.int64), poses), static=False, gaps=gaps)
+    return MtgsMotion(Trajectory(own.round().astype(np.int64), poses), static=False, gaps=gaps)
 
 
-def _rows(state: Table, name: str, width: int) -> Array:
+def _rows(state: CheckpointTable, name: str, width: int) -> Array:
     """A row for each frame; axes of length one are dropped, as the renderer does."""
     found = state.array(name)
     rows = np.squeeze(found)

@@ -14,7 +14,7 @@ from torch import Tensor
 from recast.arrays import Array, Int64Array
 from recast.logs.checks import LATEST_US, WORLD_REACH
 from recast.splats.gaussians import quat_multiply
-from recast_bridges.scenes.checkpoint import Names, Table, read_faces
+from recast_bridges.scenes.checkpoint import CheckpointTable, Names, read_faces
 
 GROUND = "OmniReGroundSubModel"
 CHECKPOINT = "scene.ckpt"
@@ -24,7 +24,9 @@ FAR_M = 10_000.0
 _SKY, _CALIBRATION = "omnire_environment", "omnire_calibration"
 
 
-def ground_members(config: Table, state: Table, table: Table, names: Names) -> dict[str, Tensor]:
+def ground_members(
+    config: CheckpointTable, state: CheckpointTable, table: CheckpointTable, names: Names
+) -> dict[str, Tensor]:
     """Sheets of ground as Gaussians: means, log scales and quaternions by the layout's names.
 
     A sheet turns about z alone, or about the normal of the surface (`surface_follow`). Its extents
@@ -70,7 +72,7 @@ def lost(means: Tensor) -> bool:
     return len(means) > 0 and float(means.double().mean(dim=0).norm()) > FAR_M
 
 
-def _found_again(means: Tensor, config: Table) -> Tensor:
+def _found_again(means: Tensor, config: CheckpointTable) -> Tensor:
     shift = read_shift(config)
     found = means + torch.from_numpy(shift)
     if lost(found):
@@ -78,7 +80,7 @@ def _found_again(means: Tensor, config: Table) -> Tensor:
     return found
 
 
-def read_shift(config: Table) -> Array:
+def read_shift(config: CheckpointTable) -> Array:
     """Metres (3,) from the scene's origin to that of its map frame.
 
     Raises:
@@ -90,7 +92,7 @@ def read_shift(config: Table) -> Array:
     return shift
 
 
-def read_environment(config: Table) -> Tensor | None:
+def read_environment(config: CheckpointTable) -> Tensor | None:
     """The cubemap (6, R, R, 3) of the sky in the background's settings; None if they have none.
 
     It is looked up as DriveStudio's, by `CUBE_FROM_SCENE`.
@@ -101,12 +103,12 @@ def read_environment(config: Table) -> Tensor | None:
     return read_faces(config, _SKY) if _SKY in config else None
 
 
-def exposed(config: Table) -> bool:
+def exposed(config: CheckpointTable) -> bool:
     """Whether the background's settings have exposures of single images, which are not read."""
     return _CALIBRATION in config and config.table(_CALIBRATION).raw("exposure") is not None
 
 
-def read_ego(config: Table) -> tuple[Int64Array, Array] | None:
+def read_ego(config: CheckpointTable) -> tuple[Int64Array, Array] | None:
     """Times (F,) in microseconds and places (F, 3) of the ego in the scene; None if not saved.
 
     Raises:

@@ -19,7 +19,7 @@ from recast.logs import DrivingLog
 from recast.scene.appearance import fourier_basis
 from recast.scene.imported import (
     ImportRecord,
-    Placement,
+    ScenePlacement,
     frame_times,
     given_placement,
     write_imported,
@@ -38,8 +38,8 @@ from recast_bridges.scenes.actors import (
 from recast_bridges.scenes.checkpoint import (
     NO_SKY,
     RESAMPLED,
+    CheckpointTable,
     Names,
-    Table,
     read_checkpoint,
     read_faces,
     read_gaussians,
@@ -144,7 +144,7 @@ def frozen_constant(constant: Tensor, share: float) -> Tensor:
     return torch.einsum("k,nkc->nc", basis, constant)
 
 
-def _gaussians(table: Table, share: float) -> Gaussians:
+def _gaussians(table: CheckpointTable, share: float) -> Gaussians:
     count = len(table.tensor(NAMES.means, None, 3))
     constant = table.tensor(CONSTANT, count, None, 3)
     if constant.shape[1] == 0:
@@ -154,22 +154,22 @@ def _gaussians(table: Table, share: float) -> Gaussians:
 
 def _placement(
     log: DrivingLog, drive: ProcessedDrive | None, world_from_scene: Path | None
-) -> Placement:
+) -> ScenePlacement:
     if world_from_scene is not None:
         return given_placement(world_from_scene)
     if drive is not None:
         shift = se3.from_rotation_translation(torch.eye(3), drive.offset - log.world_offset)
-        return Placement(shift, "mean of the ego positions in the processed folder")
+        return ScenePlacement(shift, "mean of the ego positions in the processed folder")
     times = frame_times(log, None)
     mean = log.world_from_rig.at(times)[:, :3, 3].mean(axis=0)
-    return Placement(
+    return ScenePlacement(
         se3.from_rotation_translation(torch.eye(3), mean),
         f"mean of {len(times)} ego positions of the log, which only approximates the mean over the "
         "frames of the processed folder; give that folder for the exact place",
     )
 
 
-def _corrections(table: Table, drive: ProcessedDrive | None) -> tuple[Tensor, Tensor]:
+def _corrections(table: CheckpointTable, drive: ProcessedDrive | None) -> tuple[Tensor, Tensor]:
     """Learned offsets (F, M, 3) and turns (F, M, 1) of tracks; checked against the folder."""
     if drive is None:
         return torch.zeros(0, 0, 3), torch.zeros(0, 0, 1)
@@ -198,7 +198,7 @@ def _candidates(name: str, given: Mapping[str, str], drive: ProcessedDrive | Non
 
 
 def _changed(
-    table: Table, names: Mapping[str, str], share: float, drive: ProcessedDrive | None
+    table: CheckpointTable, names: Mapping[str, str], share: float, drive: ProcessedDrive | None
 ) -> list[str]:
     changed = []
     if names:
@@ -217,7 +217,7 @@ def _changed(
     return changed
 
 
-def _left_out(table: Table, drive: ProcessedDrive | None) -> list[str]:
+def _left_out(table: CheckpointTable, drive: ProcessedDrive | None) -> list[str]:
     left_out = [f"{name}: {what}" for name, what in _UNUSED.items() if name in table]
     if "sky_cubemap" not in table:
         left_out.append(NO_SKY)

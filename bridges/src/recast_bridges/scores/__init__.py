@@ -2,10 +2,10 @@
 
 from recast_bridges.scores.alpasim import SceneScore, alpasim_scene_score, off_road
 from recast_bridges.scores.driven import DrivenEpdms, driven_epdms
-from recast_bridges.scores.epdms import PlanScore, Situation, score_plan
+from recast_bridges.scores.epdms import PlanScore, PlanSituation, score_plan
 from recast_bridges.scores.idm_traffic import IdmTraffic
 from recast_bridges.scores.neuroncap import NcapScore, neuroncap_mean, neuroncap_score
-from recast_bridges.scores.submission import Scene, TokenScore, score_scene
+from recast_bridges.scores.submission import SubmittedScene, TokenScore, score_scene
 from recast_bridges.scores.two_stage import (
     TwoStage,
     TwoStageMapping,
@@ -18,9 +18,9 @@ __all__ = [
     "IdmTraffic",
     "NcapScore",
     "PlanScore",
-    "Scene",
+    "PlanSituation",
     "SceneScore",
-    "Situation",
+    "SubmittedScene",
     "TokenScore",
     "TwoStage",
     "TwoStageMapping",

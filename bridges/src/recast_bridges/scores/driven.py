@@ -23,7 +23,7 @@ from recast.planning.pdm.extended import LONGEST_INTERVAL, STEPS
 from recast.planning.route import ReferenceRoute
 from recast.planning.types import ActorState
 from recast.simulation.rollout import Rollout
-from recast_bridges.scores.epdms import PlanScore, Situation, score_plan
+from recast_bridges.scores.epdms import PlanScore, PlanSituation, score_plan
 
 _DT = 0.1
 _HISTORY = 15
@@ -126,7 +126,7 @@ def _situation(
     lanes: PlannerMap,
     route: tuple[str, ...],
     vehicle: VehicleParameters,
-) -> Situation:
+) -> PlanSituation:
     actors = rollout_actors(rollout)
     paths = np.stack([realised_future(one.states, [step], _DT, STEPS + 1)[0] for one in actors])
     moved = (paths[:, 1] - paths[:, 0])[:, :2] / _DT
@@ -134,7 +134,7 @@ def _situation(
         Obstacle.from_actor(ActorState(one.track_id, one.category, path[0], velocity, one.size))
         for one, path, velocity in zip(actors, paths, moved, strict=True)
     )
-    return Situation(
+    return PlanSituation(
         rollout.ego[step],
         lanes,
         route,

@@ -31,7 +31,7 @@ _HORIZON = 4.0
 
 
 @dataclass(frozen=True)
-class Situation:
+class PlanSituation:
     """What a plan is judged in.
 
     Attributes:
@@ -66,7 +66,7 @@ class PlanScore:
     states: Array
 
 
-def score_plan(situation: Situation, waypoints: ArrayLike, interval: float = 0.1) -> PlanScore:
+def score_plan(situation: PlanSituation, waypoints: ArrayLike, interval: float = 0.1) -> PlanScore:
     """Drive a plan and PDM-Closed's with NAVSIM's tracker, and score the plan.
 
     Args:
@@ -85,7 +85,7 @@ def score_plan(situation: Situation, waypoints: ArrayLike, interval: float = 0.1
     return PlanScore(_scores(situation, pdm, states, states[1], situation.history).at(1), states[1])
 
 
-def score_human(situation: Situation, waypoints: ArrayLike, interval: float = 0.1) -> PlanScore:
+def score_human(situation: PlanSituation, waypoints: ArrayLike, interval: float = 0.1) -> PlanScore:
     """Score what the human drove, as NAVSIM's human filter does: alone, and without a history.
 
     Args, Raises: as for `score_plan`.
@@ -105,7 +105,7 @@ def human_filtered(agent: ExtendedScores, human: ExtendedScores) -> ExtendedScor
     )
 
 
-def planned_poses(situation: Situation, waypoints: ArrayLike, interval: float) -> Array:
+def planned_poses(situation: PlanSituation, waypoints: ArrayLike, interval: float) -> Array:
     """World poses (41, 3) at 0, 0.1, ..., 4 s of a plan; linear between its own, as in NAVSIM.
 
     Args, Raises: as for `score_plan`.
@@ -121,7 +121,7 @@ def planned_poses(situation: Situation, waypoints: ArrayLike, interval: float) -
     return np.stack([np.interp(times, known, column) for column in columns], axis=-1)
 
 
-def _pdm_closed(situation: Situation) -> tuple[PdmClosed, Array]:
+def _pdm_closed(situation: PlanSituation) -> tuple[PdmClosed, Array]:
     """PDM-Closed with its route and centreline, and its plan: world poses (41, 3)."""
     settings = PdmConfig(reference_quirks=True)
     pdm = PdmClosed(situation.planner_map, situation.route, situation.vehicle, settings)
@@ -130,13 +130,13 @@ def _pdm_closed(situation: Situation) -> tuple[PdmClosed, Array]:
     return pdm, found.trajectory[: STEPS + 1]
 
 
-def _driven(situation: Situation, poses: Array) -> Array:
+def _driven(situation: PlanSituation, poses: Array) -> Array:
     start = np.broadcast_to(situation.state, (len(poses), ego.SIZE))
     return track(start, poses, STEPS, PDM_REFERENCE, situation.vehicle)
 
 
 def _scores(
-    situation: Situation, pdm: PdmClosed, states: Array, driven: Array, history: Array | None
+    situation: PlanSituation, pdm: PdmClosed, states: Array, driven: Array, history: Array | None
 ) -> ExtendedScores:
     lanes = situation.planner_map.lanes
     on_route = situation.planner_map.lanes_of(pdm.route)

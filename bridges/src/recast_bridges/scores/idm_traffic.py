@@ -14,7 +14,7 @@ from recast.dynamics import PACIFICA, IdmParameters, VehicleParameters, idm_step
 from recast.dynamics import state as ego
 from recast.geometry import boxes, se2
 from recast.planning.map import PlannerLane, PlannerMap
-from recast.planning.pdm import Kind, LanePath, Obstacle
+from recast.planning.pdm import AgentKind, Centreline, Obstacle
 from recast.planning.pdm.centreline import heading_error
 from recast.planning.pdm.forecast import outline
 
@@ -46,7 +46,7 @@ class _Agent:
     """
 
     size: Array
-    path: LanePath
+    path: Centreline
     ends: Array
     limits: Array
     state: Array
@@ -124,7 +124,7 @@ class IdmTraffic:
         agents = self._agents(egos[0])
         taken = [agent.box() for agent in agents.values()]
         for i, one in enumerate(self.obstacles):
-            if one.kind is not Kind.VEHICLE:
+            if one.kind is not AgentKind.VEHICLE:
                 poses[i] = given[i]
             elif i not in agents and self._stays(one, taken):
                 poses[i] = one.pose
@@ -155,7 +155,7 @@ class IdmTraffic:
         found: dict[int, _Agent] = {}
         taken = [ego_box]
         for i, one in enumerate(self.obstacles):
-            lane = self._lane(one) if one.kind is Kind.VEHICLE else None
+            lane = self._lane(one) if one.kind is AgentKind.VEHICLE else None
             if lane is None or _aside(lane, one) > _SNAP:
                 continue
             agent = self._agent(one, lane)
@@ -173,10 +173,10 @@ class IdmTraffic:
             if not after:
                 break
             chain.append(min(after, key=_bend))
-        path = LanePath(np.concatenate([other.centreline for other in chain]))
+        path = Centreline(np.concatenate([other.centreline for other in chain]))
         last = np.cumsum([len(other.centreline) for other in chain]) - 1
         limits = np.array([other.speed_limit or _TARGET for other in chain])
-        progress = float(LanePath(lane.centreline).project(one.pose))
+        progress = float(Centreline(lane.centreline).project(one.pose))
         state = np.array([progress, float(np.hypot(*one.velocity))])
         return _Agent(one.size[:2], path, path.progress[last], limits, state)
 
@@ -223,7 +223,7 @@ def _follow(
 
 def _aside(lane: PlannerLane, one: Obstacle) -> float:
     """Metres from a box's centre to a lane's centreline."""
-    return float(LanePath(lane.centreline).line.distance(shapely.Point(*one.pose[:2])))
+    return float(Centreline(lane.centreline).line.distance(shapely.Point(*one.pose[:2])))
 
 
 def _bend(lane: PlannerLane) -> float:

@@ -28,7 +28,7 @@ _OF_ROLLOUT = ("name", "planner", "arm", "motion", "setting")
 
 
 @dataclass(frozen=True)
-class ScoreColumn:
+class StoredScoreColumn:
     """How a score is shown: as `scale` times its value, with a unit."""
 
     label: str
@@ -36,11 +36,11 @@ class ScoreColumn:
     scale: float
 
 
-SCORES: Mapping[str, ScoreColumn] = {
-    "epdms_plans": ScoreColumn("EPDMS plans", "%", 100.0),
-    "alpasim": ScoreColumn("AlpaSim", "%", 100.0),
-    "neuroncap": ScoreColumn("NCAP", "stars", 1.0),
-    "neuroncap_code": ScoreColumn("NCAP code", "stars", 1.0),
+SCORES: Mapping[str, StoredScoreColumn] = {
+    "epdms_plans": StoredScoreColumn("EPDMS plans", "%", 100.0),
+    "alpasim": StoredScoreColumn("AlpaSim", "%", 100.0),
+    "neuroncap": StoredScoreColumn("NCAP", "stars", 1.0),
+    "neuroncap_code": StoredScoreColumn("NCAP code", "stars", 1.0),
 }
 """Scores in the order of the table; higher is better."""
 

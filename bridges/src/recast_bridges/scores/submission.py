@@ -11,7 +11,7 @@ from recast.arrays import Array
 from recast.core.errors import InputError
 from recast_bridges.scores.epdms import (
     PlanScore,
-    Situation,
+    PlanSituation,
     human_filtered,
     planned_poses,
     score_human,
@@ -20,7 +20,7 @@ from recast_bridges.scores.epdms import (
 
 
 @dataclass(frozen=True)
-class Scene:
+class SubmittedScene:
     """One scene for which plans are submitted.
 
     Attributes:
@@ -35,7 +35,7 @@ class Scene:
     token: str
     synthetic: bool
     start_s: float
-    situation: Situation
+    situation: PlanSituation
     human: Array | None = None
 
 
@@ -44,7 +44,7 @@ class TokenScore:
     """What the plan of one token scored.
 
     Attributes:
-        token, synthetic, start_s: the scene's fields of the same names, see `Scene`.
+        token, synthetic, start_s: the scene's fields of the same names, see `SubmittedScene`.
         start, endpoint: (2,) world x, y of the rear axle now, and where the plan itself ends.
         plan: its scores, filtered; None if there is no valid plan.
         reason: why there is none.
@@ -59,7 +59,9 @@ class TokenScore:
     reason: str | None = None
 
 
-def score_scene(scene: Scene, waypoints: ArrayLike | None, interval: float = 0.5) -> TokenScore:
+def score_scene(
+    scene: SubmittedScene, waypoints: ArrayLike | None, interval: float = 0.5
+) -> TokenScore:
     """Score the plan submitted for a scene; one that cannot be scored is failed, not an error.
 
     Args:

@@ -18,7 +18,7 @@ from recast.actors.mesh.triangles import (
     REPEATED,
     Array,
     Glow,
-    Material,
+    MeshMaterial,
     Triangles,
     Wrap,
     checked,
@@ -32,9 +32,9 @@ from recast.core.gltf.tree import (
     TRIANGLES,
     EmissiveStrength,
     Glossy,
-    Placement,
+    GltfTexture,
     Primitive,
-    Texture,
+    TextureTransform,
     TextureUse,
     Transmission,
     placed_primitives,
@@ -106,7 +106,7 @@ def _corner_count(file: GlbFile, primitive: Primitive, field: str) -> int:
 class _Surface:
     """A material, how it uses its texture, and the light that it emits."""
 
-    material: Material
+    material: MeshMaterial
     use: TextureUse | None = None
     glow: Glow | None = None
     glow_use: TextureUse | None = None
@@ -124,7 +124,7 @@ class _Reader:
         """Triangles of a primitive, placed."""
         attributes, file = primitive.attributes, self._file
         faces = self._faces(primitive, field)
-        surface = _Surface(Material(np.ones(4)))
+        surface = _Surface(MeshMaterial(np.ones(4)))
         if primitive.material is not None:
             if primitive.material not in self._surfaces:
                 self._surfaces[primitive.material] = self._surface(primitive.material)
@@ -155,7 +155,7 @@ class _Reader:
         """(F, 3, 2) texture coordinates for a use of a texture; None without one."""
         if use is None:
             return None
-        placement = self._file.extension(use, _PLACEMENT, Placement)
+        placement = self._file.extension(use, _PLACEMENT, TextureTransform)
         name = f"TEXCOORD_{use.tex_coord}"
         if placement is not None and placement.tex_coord is not None:
             name = f"TEXCOORD_{placement.tex_coord}"
@@ -197,7 +197,7 @@ class _Reader:
         picture, wrap = self._texture(use)
         lit = _UNLIT not in surface.extensions
         cutoff = surface.alpha_cutoff
-        material = Material(factor, picture, alpha, cutoff, gloss, wrap, lit)
+        material = MeshMaterial(factor, picture, alpha, cutoff, gloss, wrap, lit)
         emitted = np.array(surface.emissive_factor)
         if not lit or not emitted.any():  # what is unlit shows its base colour alone
             return _Surface(material, use)
@@ -215,7 +215,7 @@ class _Reader:
             return None, REPEATED
         file = self._file
         texture, field = file.at(file.tree.textures, use.index, "texture"), f"textures.{use.index}"
-        webp = file.extension(texture, _WEBP, Texture)
+        webp = file.extension(texture, _WEBP, GltfTexture)
         source = texture.source if webp is None else webp.source
         if source is None:
             named = ", ".join(texture.extensions) or "it names no source"

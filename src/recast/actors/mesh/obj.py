@@ -29,7 +29,7 @@ from recast.actors.mesh.triangles import (
     REPEATED,
     Array,
     Glow,
-    Material,
+    MeshMaterial,
     Triangles,
     Wrap,
     checked,
@@ -43,7 +43,7 @@ from recast.geometry.colour import srgb_to_linear
 
 _MOST_BYTES = 1 << 28
 _MEND = "export it again, with its .mtl and textures in the same folder"
-_GREY = Material()
+_GREY = MeshMaterial()
 _NONE = -1  # stands for a corner without texture coordinates
 _OPTION_VALUE = re.compile(r"[-+.\deE]+|on|off|[rgbmlz]|sphere|cube_\w+")  # of a texture
 _OPTION_VALUES = {"-s": 3, "-o": 3, "-t": 3, "-mm": 2}  # at most; others have one
@@ -323,7 +323,7 @@ def _part(
         return np.concatenate([at, np.zeros((1, 2))])[coordinate]  # row _NONE
 
     if entry is None:
-        material, placed, glow = _GREY if colours is None else Material(np.ones(4)), None, None
+        material, placed, glow = _GREY if colours is None else MeshMaterial(np.ones(4)), None, None
     else:
         own = entry.pictures
         base, mask = own.get("map_kd"), own.get("map_d")
@@ -332,7 +332,7 @@ def _part(
             texture = _masked(texture, pictures[mask.path])
         colour = entry.colour if base is None else np.ones(3)
         placed = base or mask
-        material = Material(
+        material = MeshMaterial(
             np.append(colour, alpha),
             texture,
             "BLEND" if alpha < 1 or mask is not None else "OPAQUE",

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from recast.actors.icp import require_volume, seen_from_outside
-from recast.actors.mesh.triangles import Array, Material, Triangles, Wrap
+from recast.actors.mesh.triangles import Array, MeshMaterial, Triangles, Wrap
 from recast.arrays import Int64Array
 from recast.geometry.colour import srgb_to_linear
 
@@ -40,7 +40,7 @@ class Samples:
         spacing: (N,) edge of the square of surface that each stands for.
         albedo: (N, 3) linear base colour.
         alpha: (N,) 1 where nothing shines through.
-        gloss: (N,) see `Material`.
+        gloss: (N,) see `MeshMaterial`.
         emission: (N, 3) linear light that is emitted, whatever falls on the surface.
     """
 
@@ -120,7 +120,7 @@ def _mixed(corners: Array, weights: Array) -> Array:
     return np.einsum("nck,nc->nk", corners, weights)
 
 
-def _alpha(material: Material, alpha: Array) -> Array:
+def _alpha(material: MeshMaterial, alpha: Array) -> Array:
     if material.alpha == "OPAQUE":
         return np.ones_like(alpha)
     if material.alpha == "MASK":

@@ -31,7 +31,7 @@ _FORMATS = ("PNG", "JPEG", "WEBP", "BMP", "TGA", "TIFF")
 
 
 @dataclass(frozen=True)
-class Material:
+class MeshMaterial:
     """How the triangles of one part look.
 
     Attributes:
@@ -59,7 +59,7 @@ class Glow:
 
     Attributes:
         factor: (3,) linear RGB by which the texture is multiplied.
-        texture, wrap: see `Material`.
+        texture, wrap: see `MeshMaterial`.
         uv: (F, 3, 2) texture coordinates; None without a texture.
     """
 
@@ -84,7 +84,7 @@ class Triangles:
     corners: Array
     uv: Array | None
     colours: Array | None
-    material: Material
+    material: MeshMaterial
     glow: Glow | None = None
 
     def __len__(self) -> int:

@@ -107,7 +107,7 @@ class Steps:
 
 
 @dataclass(frozen=True)
-class Task:
+class RefinementTask:
     """What both descents have in common.
 
     Attributes:
@@ -159,7 +159,7 @@ class Task:
 
 
 def fit_shape(
-    task: Task,
+    task: RefinementTask,
     actor: Actor,
     hits: np.ndarray[Any, np.dtype[np.float32]],
     bend: Bend,
@@ -208,7 +208,9 @@ class FreeDescent:
         best, best_loss: the Gaussians with the least loss on the held-back images, and that loss.
     """
 
-    def __init__(self, task: Task, free: FreeGaussians, poses: PoseOffsets, seen: Tensor) -> None:
+    def __init__(
+        self, task: RefinementTask, free: FreeGaussians, poses: PoseOffsets, seen: Tensor
+    ) -> None:
         self.task, self.free, self.poses, self._seen = task, free, poses, seen
         self._parameters = {**free.changes, "poses": poses.values}
         self._optimiser = _adam(self._parameters, {**_FREE_RATES, "poses": 0.3 * _POSE_RATE})

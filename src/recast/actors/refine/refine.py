@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from recast.actors.actor import Actor, Refinement, triple
 from recast.actors.evidence import Evidence
 from recast.actors.insert import darkened
-from recast.actors.refine.descent import FreeDescent, Steps, Task, fit_shape
+from recast.actors.refine.descent import FreeDescent, RefinementTask, Steps, fit_shape
 from recast.actors.refine.parameters import (
     FIELDS,
     Bend,
@@ -86,7 +86,7 @@ def refine(
     held = views[_HOLD_BACK // 2 :: _HOLD_BACK] or [views[count // 2]]
     kept = [view for view in views if view not in held]
     symmetric = actor.category not in DEFORMABLE
-    task = Task(kept, held, actor.low_pass, symmetric, seed, steps or Steps())
+    task = RefinementTask(kept, held, actor.low_pass, symmetric, seed, steps or Steps())
     times = np.array([one.timestamp_us for one in evidence.sightings], np.int64)
     bend, poses = Bend(actor.size), PoseOffsets(times)
     counter = _Counter(progress, task.steps)

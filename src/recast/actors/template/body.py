@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy.interpolate import PchipInterpolator
 
-from recast.actors.template.materials import Material
+from recast.actors.template.materials import TemplateMaterial
 from recast.arrays import Array, Int64Array
 
 if TYPE_CHECKING:
@@ -30,7 +30,7 @@ def smooth_max(a: Array, b: Array, radius: float) -> Array:
 
 
 @dataclass(frozen=True)
-class Panels:
+class BodyPanels:
     """Signed distances (N,) to the single panels at N points, negative on the inner side."""
 
     windscreen: Array
@@ -46,7 +46,7 @@ class Panels:
     lower: Array
 
 
-class Body:
+class TemplateBody:
     """The implicit body of a vehicle of given box and proportions.
 
     Args:
@@ -120,7 +120,7 @@ class Body:
         """Radius of the wheel arch openings, metres."""
         return 1.13 * self.wheel_radius
 
-    def panels(self, points: Array) -> Panels:
+    def panels(self, points: Array) -> BodyPanels:
         """Distances of points (N, 3) to each panel."""
         p, H, L = self.proportions, self.height, self.length
         x, y, z = points.T
@@ -178,7 +178,7 @@ class Body:
         greenhouse = smooth_max(
             greenhouse, np.maximum(np.maximum(nose, tail), 0.6 * belt - z), 0.04
         )
-        return Panels(
+        return BodyPanels(
             windscreen,
             rear_window,
             roof,
@@ -225,7 +225,7 @@ class Body:
         return np.maximum(np.maximum(union, -self.wells(points)), beyond)
 
 
-def wheel(body: Body, axle_x: float, spacing: float) -> tuple[Array, Array, Int64Array]:
+def wheel(body: TemplateBody, axle_x: float, spacing: float) -> tuple[Array, Array, Int64Array]:
     """Points (N, 3), outward normals (N, 3) and materials (N,) of the left wheel on one axle.
 
     A lathed tyre and rim; the gaps between the ten spokes lie 5 cm behind them. Points are
@@ -263,15 +263,15 @@ def wheel(body: Body, axle_x: float, spacing: float) -> tuple[Array, Array, Int6
     angle = 2 * np.pi * (within + 0.5 * (ring % 2)) / per_ring[ring]
     radius, depth, slope = rings[0][ring], rings[1][ring], rings[2][ring]
 
-    labels = np.full(len(ring), int(Material.TYRE))
+    labels = np.full(len(ring), int(TemplateMaterial.TYRE))
     outer = depth > -0.06
     rim = outer & (radius < 0.67 * r)
-    labels[rim] = Material.ALLOY
+    labels[rim] = TemplateMaterial.ALLOY
     fold = np.abs((angle / (2 * np.pi) * 10) % 1 - 0.5)
     gap = rim & (radius > 0.2 * r) & (radius < 0.57 * r) & (fold > 0.17 + 0.02 * r / radius)
-    labels[gap] = Material.DARK
-    labels[rim & (radius > 0.655 * r)] = Material.DARK
-    labels[outer & (radius < 0.05 * r)] = Material.TRIM
+    labels[gap] = TemplateMaterial.DARK
+    labels[rim & (radius > 0.655 * r)] = TemplateMaterial.DARK
+    labels[outer & (radius < 0.05 * r)] = TemplateMaterial.TRIM
     depth = np.where(gap, depth - 0.05, depth)
 
     cos, sin = np.cos(angle), np.sin(angle)
@@ -281,7 +281,7 @@ def wheel(body: Body, axle_x: float, spacing: float) -> tuple[Array, Array, Int6
     return points, normals, labels
 
 
-def mirror(body: Body, spacing: float) -> tuple[Array, Array, Int64Array]:
+def mirror(body: TemplateBody, spacing: float) -> tuple[Array, Array, Int64Array]:
     """Points, normals and materials of the left outside mirror, 8 cm beyond the box."""
     p = body.proportions
     scale = np.clip(body.height / 1.5, 1.0, 1.8)
@@ -296,9 +296,9 @@ def mirror(body: Body, spacing: float) -> tuple[Array, Array, Int64Array]:
     around = np.pi * (1 + 5**0.5) * index
     ring = np.sqrt(1 - up**2)
     unit = np.stack([ring * np.cos(around), ring * np.sin(around), up], axis=-1)
-    labels = np.full(count, int(Material.PAINT))
-    labels[unit[:, 0] < -0.5] = Material.GLASS
-    labels[unit[:, 2] < -0.8] = Material.TRIM
+    labels = np.full(count, int(TemplateMaterial.PAINT))
+    labels[unit[:, 0] < -0.5] = TemplateMaterial.GLASS
+    labels[unit[:, 2] < -0.8] = TemplateMaterial.TRIM
     normals = unit / radii
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
     return centre + unit * radii, normals, labels

@@ -12,8 +12,16 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from recast.actors.template.body import Body, mirror, wheel
-from recast.actors.template.materials import GLASS, GLOSS, PAINTED, RIM, SRGB, Material, label_body
+from recast.actors.template.body import TemplateBody, mirror, wheel
+from recast.actors.template.materials import (
+    GLASS,
+    GLOSS,
+    PAINTED,
+    RIM,
+    SRGB,
+    TemplateMaterial,
+    label_body,
+)
 from recast.arrays import Array, Int64Array
 from recast.geometry import se3
 from recast.geometry.colour import gamma_to_linear
@@ -120,7 +128,7 @@ def tangents(normals: Array) -> tuple[Array, Array]:
     return first, np.cross(normals, first)
 
 
-def build_cloud(body: Body, spacing: float, rng: np.random.Generator) -> SurfaceCloud:
+def build_cloud(body: TemplateBody, spacing: float, rng: np.random.Generator) -> SurfaceCloud:
     """Cover body, wheels and mirrors with patches of edge `spacing`, finer where colours meet.
 
     The left half is sampled and mirrored, so that every patch has a twin; colours are decided for
@@ -175,7 +183,7 @@ def _refined(
     edge = np.full(len(points), spacing)
     quarters = _children(points, normals, edge)
     labels = np.stack([labeller(quarter, normals) for quarter in quarters])
-    mixed = np.any(labels != labels[0], axis=0) & (labels[0] != Material.DARK)
+    mixed = np.any(labels != labels[0], axis=0) & (labels[0] != TemplateMaterial.DARK)
     finer = quarters[:, mixed].reshape(-1, 3)
     points = np.concatenate([points[~mixed], finer])
     edge = np.concatenate([edge[~mixed], np.full(len(finer), spacing / 2)])

@@ -11,7 +11,7 @@ import numpy as np
 from recast.actors.axes import VEHICLE
 from recast.actors.generate import Asset
 from recast.actors.observation import Observation
-from recast.actors.template.body import Body
+from recast.actors.template.body import TemplateBody
 from recast.actors.template.cloud import (
     SurfaceCloud,
     build_cloud,
@@ -33,7 +33,7 @@ from recast.actors.template.lighting import (
 from recast.actors.template.placement import contour, find_axles, place
 from recast.actors.template.proportions import ShapeFit, fit_shape
 from recast.actors.template.texture import (
-    Texture,
+    TemplateTexture,
     balanced,
     blended,
     mirrored_texture,
@@ -97,12 +97,12 @@ class TemplateGenerator:
         rng = np.random.default_rng(seed)
         size = observation.size
         fit = _fit(observation, rng, self.style)
-        body = Body(size, fit.proportions)
+        body = TemplateBody(size, fit.proportions)
         coarse = max(self.spacing, _SKETCH_SPACING)
         sketch = build_cloud(body, coarse, rng).points
         lidar = np.asarray(observation.points, np.float64)
         placements = place(body, sketch, coarse, observation, lidar[:: max(1, len(lidar) // 1200)])
-        body = Body(size, find_axles(body, observation, placements))
+        body = TemplateBody(size, find_axles(body, observation, placements))
         cloud = build_cloud(body, self.spacing, rng)
         views = balanced(
             [
@@ -148,7 +148,11 @@ def _fit(observation: Observation, rng: np.random.Generator, style: str | None) 
 
 
 def _gaussians(
-    body: Body, cloud: SurfaceCloud, paint: Array, texture: Texture, light: Daylight = CLEAR_DAY
+    body: TemplateBody,
+    cloud: SurfaceCloud,
+    paint: Array,
+    texture: TemplateTexture,
+    light: Daylight = CLEAR_DAY,
 ) -> Gaussians:
     """Merge the patches, bake light and photograph into harmonics, and back them with a shell."""
     albedo = cloud.painted(paint)
@@ -162,7 +166,7 @@ def _gaussians(
     return concatenate([outside, _backing(body, cloud, sh[group])])
 
 
-def _backing(body: Body, cloud: SurfaceCloud, sh: Array) -> Gaussians:
+def _backing(body: TemplateBody, cloud: SurfaceCloud, sh: Array) -> Gaussians:
     """A coarse shell behind the surface, so that the far side does not shine through its gaps."""
     inner = cloud.points - _BACKING_DEPTH * cloud.normals
     first, second = tangents(cloud.normals)
@@ -183,7 +187,7 @@ def _backing(body: Body, cloud: SurfaceCloud, sh: Array) -> Gaussians:
 
 
 def _harmonics(
-    group: Int64Array, cloud: SurfaceCloud, albedo: Array, texture: Texture, light: Daylight
+    group: Int64Array, cloud: SurfaceCloud, albedo: Array, texture: TemplateTexture, light: Daylight
 ) -> Array:
     """Harmonics (G, 4, 3) of each group: the lit model, moved onto the photograph where seen."""
     points, normals, albedo, gloss, colour, weight, views = group_means(

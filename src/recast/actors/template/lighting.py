@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from recast.actors.observation import Observation
-from recast.actors.template.materials import SRGB, Material
+from recast.actors.template.materials import SRGB, TemplateMaterial
 from recast.arrays import Array
 from recast.geometry import se3
 from recast.geometry.colour import gamma_to_linear, linear_to_gamma
@@ -162,7 +162,7 @@ def estimate_light(
     level = road_level(observation, [view.gain for view in seen])
     painted, colour, views = _shown(seen, cloud.paint > 0.9)
     if len(painted) < _FEW:
-        return Daylight(level, np.full(3, level)), gamma_to_linear(SRGB[Material.PAINT])
+        return Daylight(level, np.full(3, level)), gamma_to_linear(SRGB[TemplateMaterial.PAINT])
     normals, heights = cloud.normals[painted], cloud.points[painted, 2]
     found = gamma_to_linear(colour)
     across = diffuse(normals, heights)[:, 0]

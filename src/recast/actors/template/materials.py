@@ -14,13 +14,13 @@ import numpy as np
 from recast.arrays import Array, Int64Array, Mask
 
 if TYPE_CHECKING:
-    from recast.actors.template.body import Body, Panels
+    from recast.actors.template.body import BodyPanels, TemplateBody
 
 
 PLATE_SIZE = (0.52, 0.115)  # European, metres
 
 
-class Material(IntEnum):
+class TemplateMaterial(IntEnum):
     """Label of a surface point."""
 
     PAINT = 0
@@ -44,49 +44,53 @@ class Material(IntEnum):
 
 
 _FINISHES = {
-    Material.PAINT: ((0.40, 0.41, 0.43), 1.0, 1.0),  # replaced by the observed paint
-    Material.GLASS: ((0.10, 0.11, 0.12), 3.2, 0.0),
-    Material.TRIM: ((0.15, 0.15, 0.16), 0.25, 0.0),
-    Material.SEAM: ((0.06, 0.06, 0.06), 0.3, 0.3),  # shut lines show a little of the body colour
-    Material.TYRE: ((0.13, 0.13, 0.135), 0.1, 0.0),
-    Material.ALLOY: ((0.66, 0.67, 0.69), 1.2, 0.0),
-    Material.CHROME: ((0.72, 0.73, 0.75), 3.0, 0.0),
-    Material.LAMP: ((0.62, 0.65, 0.68), 1.5, 0.0),
-    Material.LAMP_CORE: ((0.95, 0.96, 0.98), 0.6, 0.0),
-    Material.AMBER: ((0.86, 0.45, 0.12), 1.0, 0.0),
-    Material.RED: ((0.58, 0.05, 0.05), 1.0, 0.0),
-    Material.RED_CORE: ((0.82, 0.12, 0.10), 0.6, 0.0),
-    Material.PLATE: ((0.90, 0.90, 0.88), 0.2, 0.0),
-    Material.INK: ((0.10, 0.10, 0.11), 0.2, 0.0),
-    Material.PLATE_BAND: ((0.10, 0.20, 0.60), 0.2, 0.0),
-    Material.DARK: ((0.03, 0.03, 0.03), 0.0, 0.0),
-    Material.GRILLE: ((0.09, 0.09, 0.095), 0.3, 0.0),
-    Material.HANDLE: ((0.40, 0.41, 0.43), 2.0, 1.0),  # paint too, see `PAINTED`
+    TemplateMaterial.PAINT: ((0.40, 0.41, 0.43), 1.0, 1.0),  # replaced by the observed paint
+    TemplateMaterial.GLASS: ((0.10, 0.11, 0.12), 3.2, 0.0),
+    TemplateMaterial.TRIM: ((0.15, 0.15, 0.16), 0.25, 0.0),
+    TemplateMaterial.SEAM: (
+        (0.06, 0.06, 0.06),
+        0.3,
+        0.3,
+    ),  # shut lines show a little of the body colour
+    TemplateMaterial.TYRE: ((0.13, 0.13, 0.135), 0.1, 0.0),
+    TemplateMaterial.ALLOY: ((0.66, 0.67, 0.69), 1.2, 0.0),
+    TemplateMaterial.CHROME: ((0.72, 0.73, 0.75), 3.0, 0.0),
+    TemplateMaterial.LAMP: ((0.62, 0.65, 0.68), 1.5, 0.0),
+    TemplateMaterial.LAMP_CORE: ((0.95, 0.96, 0.98), 0.6, 0.0),
+    TemplateMaterial.AMBER: ((0.86, 0.45, 0.12), 1.0, 0.0),
+    TemplateMaterial.RED: ((0.58, 0.05, 0.05), 1.0, 0.0),
+    TemplateMaterial.RED_CORE: ((0.82, 0.12, 0.10), 0.6, 0.0),
+    TemplateMaterial.PLATE: ((0.90, 0.90, 0.88), 0.2, 0.0),
+    TemplateMaterial.INK: ((0.10, 0.10, 0.11), 0.2, 0.0),
+    TemplateMaterial.PLATE_BAND: ((0.10, 0.20, 0.60), 0.2, 0.0),
+    TemplateMaterial.DARK: ((0.03, 0.03, 0.03), 0.0, 0.0),
+    TemplateMaterial.GRILLE: ((0.09, 0.09, 0.095), 0.3, 0.0),
+    TemplateMaterial.HANDLE: ((0.40, 0.41, 0.43), 2.0, 1.0),  # paint too, see `PAINTED`
 }
 """Display colour; factor on the Fresnel reflection of a clear coat; share of the body colour."""
 
-SRGB = np.array([_FINISHES[m][0] for m in Material])
+SRGB = np.array([_FINISHES[m][0] for m in TemplateMaterial])
 """(materials, 3) display colours."""
-GLOSS = np.array([_FINISHES[m][1] for m in Material])
+GLOSS = np.array([_FINISHES[m][1] for m in TemplateMaterial])
 """(materials,) factor on the Fresnel reflection of a clear coat."""
-PAINTED = np.array([_FINISHES[m][2] for m in Material])
+PAINTED = np.array([_FINISHES[m][2] for m in TemplateMaterial])
 """(materials,) share of the body colour."""
-GLASS = np.array([float(m == Material.GLASS) for m in Material])
+GLASS = np.array([float(m == TemplateMaterial.GLASS) for m in TemplateMaterial])
 """(materials,) 1 for windows."""
-RIM = np.array([float(m == Material.ALLOY) for m in Material])
+RIM = np.array([float(m == TemplateMaterial.ALLOY) for m in TemplateMaterial])
 """(materials,) 1 for the metal of wheels."""
 
 
-def label_body(body: Body, points: Array, normals: Array) -> Int64Array:
+def label_body(body: TemplateBody, points: Array, normals: Array) -> Int64Array:
     """Materials (N,) of body surface points (N, 3) with outward normals (N, 3)."""
     panels = body.panels(points)
-    labels = np.full(len(points), int(Material.PAINT))
+    labels = np.full(len(points), int(TemplateMaterial.PAINT))
     _sides(body, points, normals, labels)
     _front(body, points, normals, labels)
     _rear(body, points, normals, panels, labels)
     _glass(body, points, panels, labels)
-    labels[(normals[:, 2] < -0.75) & (points[:, 2] < 0.3 * body.height)] = Material.DARK
-    labels[body.wells(points) < 0.004] = Material.DARK
+    labels[(normals[:, 2] < -0.75) & (points[:, 2] < 0.3 * body.height)] = TemplateMaterial.DARK
+    labels[body.wells(points) < 0.004] = TemplateMaterial.DARK
     return labels
 
 
@@ -94,18 +98,18 @@ def _plate(labels: Int64Array, y: Array, z: Array, height: float, where: Mask) -
     """A number plate at `height`: frame, white field, blue band and strokes for characters."""
     w, h = PLATE_SIZE
     v = z - height
-    labels[where & (np.abs(y) < w / 2 + 0.02) & (np.abs(v) < h / 2 + 0.018)] = Material.TRIM
+    labels[where & (np.abs(y) < w / 2 + 0.02) & (np.abs(v) < h / 2 + 0.018)] = TemplateMaterial.TRIM
     field = where & (np.abs(y) < w / 2) & (np.abs(v) < h / 2)
-    labels[field] = Material.PLATE
+    labels[field] = TemplateMaterial.PLATE
     u = y / (w / 2)
-    labels[field & (u < -0.9)] = Material.PLATE_BAND
+    labels[field & (u < -0.9)] = TemplateMaterial.PLATE_BAND
     glyph = np.abs((u + 1) * 5.2 % 1 - 0.5) < 0.28
     hole = np.abs((u + 1) * 5.2 % 1 - 0.5) < 0.09
     written = (np.abs(u) < 0.84) & (np.abs(u + 0.15) > 0.06) & (np.abs(v) < 0.033)
-    labels[field & glyph & written & ~(hole & (np.abs(v) < 0.018))] = Material.INK
+    labels[field & glyph & written & ~(hole & (np.abs(v) < 0.018))] = TemplateMaterial.INK
 
 
-def _front(body: Body, points: Array, normals: Array, labels: Int64Array) -> None:
+def _front(body: TemplateBody, points: Array, normals: Array, labels: Int64Array) -> None:
     p, H, half = body.proportions, body.height, body.width / 2
     x, y, z = points.T
     behind = body.length / 2 - x
@@ -116,37 +120,39 @@ def _front(body: Body, points: Array, normals: Array, labels: Int64Array) -> Non
     # bonnet: shut lines beside and ahead
     top = (normals[:, 2] > 0.5) & (z < p.cowl_z * H + 0.03) & (x > body.x_at(p.cowl_x))
     line = 0.80 * half - 0.10 * half * np.clip(1 - behind / (p.cowl_x * body.length), 0, 1)
-    labels[top & (np.abs(np.abs(y) - line) < 0.007)] = Material.SEAM
-    labels[ahead & (np.abs(z - lead + 0.012) < 0.007) & (np.abs(y) < 0.78 * half)] = Material.SEAM
+    labels[top & (np.abs(np.abs(y) - line) < 0.007)] = TemplateMaterial.SEAM
+    labels[ahead & (np.abs(z - lead + 0.012) < 0.007) & (np.abs(y) < 0.78 * half)] = (
+        TemplateMaterial.SEAM
+    )
 
     # lower bumper: apron, intake, fog lamps
-    labels[ahead & (z < 0.225 * s)] = Material.TRIM
+    labels[ahead & (z < 0.225 * s)] = TemplateMaterial.TRIM
     intake = (
         ahead
         & (np.abs(y) < 0.56 * half + 0.3 * (z - 0.26 * s))
         & (np.abs(z - 0.285 * s) < 0.052 * s)
     )
-    labels[intake] = Material.GRILLE
-    labels[intake & (np.abs((z / s - 0.285) / 0.024 % 1 - 0.5) > 0.36)] = Material.TRIM
+    labels[intake] = TemplateMaterial.GRILLE
+    labels[intake & (np.abs((z / s - 0.285) / 0.024 % 1 - 0.5) > 0.36)] = TemplateMaterial.TRIM
     fog = np.hypot((np.abs(y) - 0.73 * half) / 1.35, z - 0.285 * s)
-    labels[ahead & (fog < 0.072 * s)] = Material.GRILLE
-    labels[ahead & (fog < 0.042 * s)] = Material.LAMP
-    labels[ahead & (fog < 0.024 * s)] = Material.LAMP_CORE
+    labels[ahead & (fog < 0.072 * s)] = TemplateMaterial.GRILLE
+    labels[ahead & (fog < 0.042 * s)] = TemplateMaterial.LAMP
+    labels[ahead & (fog < 0.024 * s)] = TemplateMaterial.LAMP_CORE
     # a crease across the bumper
     crease = (np.abs(z - 0.485 * s) < 0.006) & (np.abs(y) > 0.30) & (np.abs(y) < 0.95 * half)
-    labels[ahead & crease] = Material.SEAM
+    labels[ahead & crease] = TemplateMaterial.SEAM
 
     # grille with chrome frame, bars and emblem
     u, v = np.abs(y) / (0.38 * half), (z - 0.590 * s) / (0.066 * s)
     outline = np.maximum(u + 0.10 * v, np.abs(v))
-    labels[ahead & (outline < 1.0) & (np.abs(v) < 1.0)] = Material.CHROME
+    labels[ahead & (outline < 1.0) & (np.abs(v) < 1.0)] = TemplateMaterial.CHROME
     inside = ahead & (outline < 0.95) & (np.abs(v) < 0.86)
-    labels[inside] = Material.GRILLE
-    labels[inside & (np.abs((v + 1) * 2.0 % 1 - 0.5) < 0.085)] = Material.CHROME
+    labels[inside] = TemplateMaterial.GRILLE
+    labels[inside & (np.abs((v + 1) * 2.0 % 1 - 0.5) < 0.085)] = TemplateMaterial.CHROME
     emblem = np.hypot(y, z - 0.595 * s)
-    labels[ahead & (emblem < 0.052)] = Material.CHROME
-    labels[ahead & (emblem < 0.040)] = Material.TRIM
-    labels[ahead & (emblem < 0.024)] = Material.CHROME
+    labels[ahead & (emblem < 0.052)] = TemplateMaterial.CHROME
+    labels[ahead & (emblem < 0.040)] = TemplateMaterial.TRIM
+    labels[ahead & (emblem < 0.024)] = TemplateMaterial.CHROME
 
     _headlamps(
         half, np.abs(y) + 0.8 * behind, z, s, (normals[:, 0] > 0.02) & (behind < 0.7), labels
@@ -164,17 +170,19 @@ def _headlamps(half: float, u: Array, z: Array, s: float, where: Mask, labels: I
     )
     v = (z - middle) / np.maximum(tall, 1e-3)
     lens = where & (t > 0) & (t < 1) & (np.abs(v) < 1)
-    labels[lens] = Material.GRILLE
-    labels[lens & (np.abs(v) < 0.86) & (t > 0.025) & (t < 0.975)] = Material.LAMP
+    labels[lens] = TemplateMaterial.GRILLE
+    labels[lens & (np.abs(v) < 0.86) & (t > 0.025) & (t < 0.975)] = TemplateMaterial.LAMP
     for centre, size in ((0.24, 0.80), (0.50, 0.86)):
         ring = np.hypot((t - centre) * (outer - inner), z - middle) / (0.066 * s)
-        labels[lens & (ring < size)] = Material.GRILLE
-        labels[lens & (ring < size - 0.16)] = Material.LAMP
-        labels[lens & (ring < size - 0.36)] = Material.LAMP_CORE
-    labels[lens & (t > 0.78) & (t < 0.96) & (np.abs(v) < 0.8)] = Material.AMBER
+        labels[lens & (ring < size)] = TemplateMaterial.GRILLE
+        labels[lens & (ring < size - 0.16)] = TemplateMaterial.LAMP
+        labels[lens & (ring < size - 0.36)] = TemplateMaterial.LAMP_CORE
+    labels[lens & (t > 0.78) & (t < 0.96) & (np.abs(v) < 0.8)] = TemplateMaterial.AMBER
 
 
-def _rear(body: Body, points: Array, normals: Array, panels: Panels, labels: Int64Array) -> None:
+def _rear(
+    body: TemplateBody, points: Array, normals: Array, panels: BodyPanels, labels: Int64Array
+) -> None:
     p, H, half = body.proportions, body.height, body.width / 2
     x, y, z = points.T
     ahead = x + body.length / 2
@@ -184,74 +192,76 @@ def _rear(body: Body, points: Array, normals: Array, panels: Panels, labels: Int
 
     # tailgate and bumper
     gate = behind & (np.abs(y) < 0.80 * half) & (z > bumper) & (panels.roof < -0.02)
-    labels[gate & (np.abs(np.abs(y) - 0.785 * half) < 0.007)] = Material.SEAM
-    labels[behind & (np.abs(z - bumper) < 0.007)] = Material.SEAM
-    labels[behind & (z < 0.60 * bumper)] = Material.TRIM
+    labels[gate & (np.abs(np.abs(y) - 0.785 * half) < 0.007)] = TemplateMaterial.SEAM
+    labels[behind & (np.abs(z - bumper) < 0.007)] = TemplateMaterial.SEAM
+    labels[behind & (z < 0.60 * bumper)] = TemplateMaterial.TRIM
     labels[
         behind & (np.abs(z - 0.75 * bumper) < 0.018) & (np.abs(np.abs(y) - 0.72 * half) < 0.1)
-    ] = Material.RED
+    ] = TemplateMaterial.RED
     pipe = np.hypot(np.abs(y) - 0.62 * half, z - 0.5 * bumper)
-    labels[behind & (y > 0) & (pipe < 0.042)] = Material.CHROME
-    labels[behind & (y > 0) & (pipe < 0.030)] = Material.DARK
+    labels[behind & (y > 0) & (pipe < 0.042)] = TemplateMaterial.CHROME
+    labels[behind & (y > 0) & (pipe < 0.030)] = TemplateMaterial.DARK
 
     # number plate in a recess below a handle strip
     height = (
         max(0.5 * (bumper + low) + 0.05, bumper + 0.11) if low - bumper < 0.3 else bumper + 0.16
     )
     recess = behind & (np.abs(y) < 0.36) & (np.abs(z - height) < 0.085)
-    labels[recess & ~((np.abs(y) < 0.345) & (np.abs(z - height) < 0.075))] = Material.SEAM
+    labels[recess & ~((np.abs(y) < 0.345) & (np.abs(z - height) < 0.075))] = TemplateMaterial.SEAM
     strip = behind & (np.abs(y) < 0.30) & (np.abs(z - height - 0.10) < 0.012)
-    labels[strip] = Material.CHROME
+    labels[strip] = TemplateMaterial.CHROME
     _plate(labels, -y, z, height, behind)
     emblem = np.hypot(y, z - height - 0.165)
-    labels[behind & (emblem < 0.04)] = Material.CHROME
+    labels[behind & (emblem < 0.04)] = TemplateMaterial.CHROME
 
     _tail_lamps(body, np.abs(y) + 0.8 * ahead, z, (normals[:, 0] < -0.02) & (ahead < 0.7), labels)
     third = behind & (np.abs(y) < 0.17) & (panels.roof > -0.10) & (panels.roof < -0.055)
-    labels[third] = Material.RED
+    labels[third] = TemplateMaterial.RED
 
 
-def _tail_lamps(body: Body, u: Array, z: Array, where: Mask, labels: Int64Array) -> None:
+def _tail_lamps(body: TemplateBody, u: Array, z: Array, where: Mask, labels: Int64Array) -> None:
     p, half = body.proportions, body.width / 2
     low, high = p.tail_lamp_z[0] * body.height, p.tail_lamp_z[1] * body.height
     inner, outer = p.tail_lamp_inner * half, half + 0.20
     s, t = (u - inner) / (outer - inner), (z - low) / (high - low)
     lens = where & (s > 0) & (s < 1) & (t > 0) & (t < 1)
-    labels[lens] = Material.SEAM
+    labels[lens] = TemplateMaterial.SEAM
     lens &= (s > 0.03) & (s < 0.97) & (t > 0.06) & (t < 0.94)
-    labels[lens] = Material.RED
-    labels[lens & (t > 0.10) & (t < 0.30) & (s < 0.55)] = Material.LAMP
-    labels[lens & (t > 0.10) & (t < 0.30) & (s > 0.55)] = Material.AMBER
+    labels[lens] = TemplateMaterial.RED
+    labels[lens & (t > 0.10) & (t < 0.30) & (s < 0.55)] = TemplateMaterial.LAMP
+    labels[lens & (t > 0.10) & (t < 0.30) & (s > 0.55)] = TemplateMaterial.AMBER
     core = lens & (t > 0.46) & (t < 0.82) & (np.abs(s - 0.42) < 0.26)
-    labels[core] = Material.RED_CORE
+    labels[core] = TemplateMaterial.RED_CORE
 
 
-def _sides(body: Body, points: Array, normals: Array, labels: Int64Array) -> None:
+def _sides(body: TemplateBody, points: Array, normals: Array, labels: Int64Array) -> None:
     p, H = body.proportions, body.height
     x, _, z = points.T
     side = np.abs(normals[:, 1]) > 0.5
     sill = body.clearance + 0.07 * H
-    labels[side & (z < sill)] = Material.TRIM
+    labels[side & (z < sill)] = TemplateMaterial.TRIM
     doors = side & (z > sill + 0.015)
     front_edge, wheel = body.x_at(p.cowl_x + 0.045), body.axles[1]
     edges = [front_edge, *(body.x_at(f) for f in p.side_pillars_x[:2])]
     for edge in edges:
-        labels[doors & (np.abs(x - edge) < 0.007) & (z < p.cowl_z * H + 0.35)] = Material.SEAM
+        labels[doors & (np.abs(x - edge) < 0.007) & (z < p.cowl_z * H + 0.35)] = (
+            TemplateMaterial.SEAM
+        )
     # the last door's edge follows the wheel arch
     arch = np.abs(np.hypot(x - wheel, z - body.wheel_radius) - body.arch_radius - 0.06)
     if len(p.side_pillars_x) > 1:
-        labels[doors & (arch < 0.007) & (x > wheel) & (x > edges[-1])] = Material.SEAM
+        labels[doors & (arch < 0.007) & (x > wheel) & (x > edges[-1])] = TemplateMaterial.SEAM
     span = side & (x < edges[0]) & (x > edges[-1])
-    labels[span & (np.abs(z - sill - 0.015) < 0.008)] = Material.SEAM
-    labels[span & (np.abs(z - 0.40 * H) < 0.014)] = Material.TRIM
+    labels[span & (np.abs(z - sill - 0.015) < 0.008)] = TemplateMaterial.SEAM
+    labels[span & (np.abs(z - 0.40 * H) < 0.014)] = TemplateMaterial.TRIM
     for edge in edges[1:]:
         grip = side & (x > edge + 0.05) & (x < edge + 0.24)
         height = body.shoulder_z(x) - 0.115
-        labels[grip & (np.abs(z - height) < 0.017)] = Material.HANDLE
-        labels[grip & (np.abs(z - height + 0.026) < 0.009)] = Material.SEAM
+        labels[grip & (np.abs(z - height) < 0.017)] = TemplateMaterial.HANDLE
+        labels[grip & (np.abs(z - height + 0.026) < 0.009)] = TemplateMaterial.SEAM
 
 
-def _glass(body: Body, points: Array, panels: Panels, labels: Int64Array) -> None:
+def _glass(body: TemplateBody, points: Array, panels: BodyPanels, labels: Int64Array) -> None:
     """Windows: the interior of each greenhouse panel, framed in black."""
     p = body.proportions
     x, y, _ = points.T
@@ -276,19 +286,21 @@ def _glass(body: Body, points: Array, panels: Panels, labels: Int64Array) -> Non
             panels.shoulder - 0.035,
         ]
     )
-    labels[(screen | rear) & (margin > -0.022)] = Material.TRIM
-    labels[(screen | rear) & (margin > 0)] = Material.GLASS
+    labels[(screen | rear) & (margin > -0.022)] = TemplateMaterial.TRIM
+    labels[(screen | rear) & (margin > 0)] = TemplateMaterial.GLASS
     # interior mirror and resting wipers
     sill = panels.shoulder
-    labels[screen & (np.abs(y) < 0.11) & (np.abs(-panels.roof - 0.15) < 0.03)] = Material.TRIM
+    labels[screen & (np.abs(y) < 0.11) & (np.abs(-panels.roof - 0.15) < 0.03)] = (
+        TemplateMaterial.TRIM
+    )
     for offset in (-0.38, 0.10):
         wiper = np.abs(sill - 0.045 - 0.06 * (y - offset)) < 0.009
-        labels[screen & wiper & (y > offset - 0.1) & (y < offset + 0.42)] = Material.TRIM
+        labels[screen & wiper & (y > offset - 0.1) & (y < offset + 0.42)] = TemplateMaterial.TRIM
     pane = side & (side_margin > -0.02)
     if not p.rear_windows:
         pane &= x > body.x_at(p.side_pillars_x[0])
-    labels[pane] = Material.TRIM
+    labels[pane] = TemplateMaterial.TRIM
     glass = pane & (side_margin > 0)
     for fraction, width in zip(p.side_pillars_x, (0.055, 0.035, *[0.03] * 8), strict=False):
         glass &= np.abs(x - body.x_at(fraction)) > width
-    labels[glass] = Material.GLASS
+    labels[glass] = TemplateMaterial.GLASS

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from recast.actors.observation import Observation
 from recast.actors.place import minimum
-from recast.actors.template.body import Body
+from recast.actors.template.body import TemplateBody
 from recast.actors.template.proportions import Proportions
 from recast.actors.views import crossing
 from recast.arrays import Array, Mask
@@ -42,7 +42,7 @@ _TOLERANCES = {"xatol": 0.02, "fatol": 0.01}
 
 
 @dataclass(frozen=True)
-class Placement:
+class TemplatePlacement:
     """Affine map from the model (ground at z = 0) to the logged box's frame.
 
     Attributes:
@@ -66,8 +66,8 @@ class Placement:
 
 
 def place(
-    body: Body, surface: Array, spacing: float, observation: Observation, lidar: Array
-) -> tuple[Placement, ...]:
+    body: TemplateBody, surface: Array, spacing: float, observation: Observation, lidar: Array
+) -> tuple[TemplatePlacement, ...]:
     """Move and stretch the model onto masks and LiDAR points, with the logged box as prior.
 
     The stretch is that of the vehicle. Labels are off differently in every frame, so each further
@@ -100,7 +100,7 @@ def place(
         return total
 
     stretch, shift = unpack(minimum(cost, 6, 400, **_TOLERANCES))
-    first = Placement(stretch, shift, outlines[0].overlap(stretch, shift))
+    first = TemplatePlacement(stretch, shift, outlines[0].overlap(stretch, shift))
     return (first, *(one.placement(stretch, shift) for one in outlines[1:]))
 
 
@@ -123,7 +123,7 @@ class _Outline:
         pixels, _ = self._view.camera.project(placed)
         return overlap(silhouette(pixels / self._cell, self._mask.shape), self._mask)
 
-    def placement(self, stretch: Array, shift: Array) -> Placement:
+    def placement(self, stretch: Array, shift: Array) -> TemplatePlacement:
         """The model shifted further across this view, to the right and down in the image."""
         across = self._view.camera_from_object[:2, :3]
 
@@ -132,7 +132,7 @@ class _Outline:
             return _VIEW_OVERLAP_WEIGHT * (1 - self.overlap(stretch, moved)) + 0.5 * float(x @ x)
 
         shift = shift + _VIEW_SPREAD * minimum(cost, 2, 60, **_TOLERANCES) @ across
-        return Placement(stretch, shift, self.overlap(stretch, shift))
+        return TemplatePlacement(stretch, shift, self.overlap(stretch, shift))
 
 
 def silhouette(pixels: Array, shape: tuple[int, int]) -> Mask:
@@ -150,7 +150,7 @@ def overlap(first: Mask, second: Mask) -> float:
 
 
 def find_axles(
-    body: Body, observation: Observation, placements: Sequence[Placement]
+    body: TemplateBody, observation: Observation, placements: Sequence[TemplatePlacement]
 ) -> Proportions:
     """Proportions with the axles where the photographs show wheels.
 
@@ -171,7 +171,7 @@ def find_axles(
 
 
 def _clearest(
-    body: Body, view: Observation, placement: Placement, usual: float
+    body: TemplateBody, view: Observation, placement: TemplatePlacement, usual: float
 ) -> tuple[float, float]:
     """Contrast of rim and tyre where one view shows a wheel best, and where: see `find_axles`."""
     side = np.sign(view.eye[1])

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.optimize import least_squares
 
-from recast.actors.template.body import Body
+from recast.actors.template.body import TemplateBody
 from recast.arrays import Array
 
 if TYPE_CHECKING:
@@ -252,7 +252,7 @@ class _Problem:
         self, style: Proportions, size: Array, points: Array, contours: Sequence[Contour]
     ) -> None:
         self._style, self._size, self._contours = style, size, contours
-        self._points = points[Body(size, style).wells(points) > -0.02]
+        self._points = points[TemplateBody(size, style).wells(points) > -0.02]
         landmarks = [_SPREAD.get(name, _SPREAD_DEFAULT) for name in FITTED]
         self._spreads = np.array(
             [*landmarks, *_SHIFT_SPREAD, *[_VIEW_SPREAD] * (2 * len(contours))]
@@ -276,7 +276,7 @@ class _Problem:
 
     def distance(self, solution: Array) -> Callable[[Array], Array]:
         """Distance in metres of points (N, 3) to the body as a solution bends and places it."""
-        body = Body(self._size, _bent(self._style, solution))
+        body = TemplateBody(self._size, _bent(self._style, solution))
         forward, left, grow = solution[len(FITTED) : len(FITTED) + 3]
         return lambda points: (
             body.distance((points - [forward, left, 0.0]) / (1 + grow)) * (1 + grow)

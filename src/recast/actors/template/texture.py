@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from recast.actors.observation import Observation
 from recast.actors.template.cloud import MIRROR, SurfaceCloud
 from recast.actors.template.lighting import ramp
-from recast.actors.template.placement import Placement
+from recast.actors.template.placement import TemplatePlacement
 from recast.arrays import Array
 from recast.geometry import se3
 from recast.geometry.colour import gamma_to_linear, linear_to_gamma
@@ -44,7 +44,7 @@ class SurfaceView:
 
 
 def view_surface(
-    cloud: SurfaceCloud, observation: Observation, placement: Placement
+    cloud: SurfaceCloud, observation: Observation, placement: TemplatePlacement
 ) -> SurfaceView:
     """Sample the crop at every patch that it shows.
 
@@ -169,7 +169,7 @@ def _mix(weights: Array, values: Array) -> Array:
 
 
 @dataclass(frozen=True)
-class Texture:
+class TemplateTexture:
     """Observed colours spread over both sides of the vehicle.
 
     Attributes:
@@ -183,7 +183,7 @@ class Texture:
     views: Array
 
 
-def mirrored_texture(cloud: SurfaceCloud, seen: SurfaceView) -> Texture:
+def mirrored_texture(cloud: SurfaceCloud, seen: SurfaceView) -> TemplateTexture:
     """Fill what the view did not see from its mirror image; wheels and recesses keep the model's.
 
     A side seen poorly yields to its twin seen well.
@@ -194,7 +194,7 @@ def mirrored_texture(cloud: SurfaceCloud, seen: SurfaceView) -> Texture:
     borrowed = twin * (1 - own)
     total = np.maximum(own + borrowed, 1e-9)
     share = (own / total)[:, None]
-    return Texture(
+    return TemplateTexture(
         colour=share * seen.colour + (1 - share) * seen.colour[cloud.twin],
         weight=np.where(textured, np.minimum(own + borrowed, 1.0), 0.0),
         views=np.where(share > 0.5, seen.views, seen.views[cloud.twin] * MIRROR),

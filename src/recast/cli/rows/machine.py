@@ -46,7 +46,7 @@ _DRIVERS = ("libcuda.so.1", "nvcuda.dll")
 
 
 @dataclass(frozen=True)
-class Finding:
+class MachineFinding:
     """One line of the examination.
 
     Attributes:
@@ -61,7 +61,7 @@ class Finding:
     mend: str = ""
 
 
-def examine() -> list[Finding]:
+def examine() -> list[MachineFinding]:
     """Look at everything recast can use."""
     return [
         *_platform(),
@@ -74,7 +74,7 @@ def examine() -> list[Finding]:
     ]
 
 
-def findings_table(findings: list[Finding]) -> Table:
+def findings_table(findings: list[MachineFinding]) -> Table:
     """The examination as a table for the console."""
     table = Table(title=f"recast {__version__}", title_justify="left")
     for heading in ("part", "", "found", "to get it"):
@@ -87,36 +87,38 @@ def findings_table(findings: list[Finding]) -> Table:
     return table
 
 
-def _platform() -> list[Finding]:
+def _platform() -> list[MachineFinding]:
     packages = ", ".join(f"{name} {version(name)}" for name in ("torch", "numpy", "nvidia-ncore"))
     return [
-        Finding("python", None, f"{platform.python_version()} on {platform.platform()}"),
-        Finding("packages", None, packages),
-        Finding("cpu", None, _cores()),
+        MachineFinding("python", None, f"{platform.python_version()} on {platform.platform()}"),
+        MachineFinding("packages", None, packages),
+        MachineFinding("cpu", None, _cores()),
     ]
 
 
-def _pages() -> Finding:
+def _pages() -> MachineFinding:
     package = Path(__file__).parents[2]
     folders = (package / "docs", package.parents[1] / "docs")  # of a wheel, of a checkout
-    return Finding("docs", None, next((str(one) for one in folders if one.is_dir()), "missing"))
+    return MachineFinding(
+        "docs", None, next((str(one) for one in folders if one.is_dir()), "missing")
+    )
 
 
-def _kernel() -> Finding:
+def _kernel() -> MachineFinding:
     info = kernel.info()
     if info.available:
         detail = (
             f"{info.isa} (this machine offers {', '.join(info.isas)}), {info.threads} threads, "
             f"{info.library}"
         )
-        return Finding("CPU kernel", True, detail)
+        return MachineFinding("CPU kernel", True, detail)
     compiler = shutil.which("c++") or shutil.which("g++") or shutil.which("clang++")
     mend = (
         "reinstall: pip install --force-reinstall --no-deps recast-sim"
         if compiler
         else "install a C++17 compiler (g++ or clang++), then reinstall recast-sim"
     )
-    return Finding("CPU kernel", False, f"{info.reason}; the slow reference is used", mend)
+    return MachineFinding("CPU kernel", False, f"{info.reason}; the slow reference is used", mend)
 
 
 def _cores() -> str:
@@ -125,19 +127,19 @@ def _cores() -> str:
     return f"{platform.machine()}, {machine} cores{share}"
 
 
-def _cuda() -> list[Finding]:
+def _cuda() -> list[MachineFinding]:
     mend = "not needed: everything runs on a CPU"
     if not any(_loads(driver) for driver in _DRIVERS):
-        return [Finding("CUDA", False, "no NVIDIA driver", mend)]
+        return [MachineFinding("CUDA", False, "no NVIDIA driver", mend)]
     import torch  # takes seconds, so not without a driver
 
     if torch.version.cuda is None:
         found, mend = f"torch {torch.__version__} has no CUDA", "see pytorch.org/get-started"
-        return [Finding("CUDA", False, f"a driver, but {found}", mend)]
+        return [MachineFinding("CUDA", False, f"a driver, but {found}", mend)]
     if not torch.cuda.is_available():
-        return [Finding("CUDA", False, "a driver, but torch sees no GPU", mend)]
+        return [MachineFinding("CUDA", False, "a driver, but torch sees no GPU", mend)]
     name = torch.cuda.get_device_name(0)
-    return [Finding("CUDA", True, f"{name}, CUDA {torch.version.cuda}")]
+    return [MachineFinding("CUDA", True, f"{name}, CUDA {torch.version.cuda}")]
 
 
 def _loads(library: str) -> bool:
@@ -148,26 +150,26 @@ def _loads(library: str) -> bool:
     return True
 
 
-def _optional() -> list[Finding]:
+def _optional() -> list[MachineFinding]:
     findings = []
     for package, (purpose, mend) in _OPTIONAL.items():
         try:
-            findings.append(Finding(package, True, f"{version(package)} ({purpose})"))
+            findings.append(MachineFinding(package, True, f"{version(package)} ({purpose})"))
         except PackageNotFoundError:
-            findings.append(Finding(package, False, purpose, mend))
+            findings.append(MachineFinding(package, False, purpose, mend))
     return findings
 
 
-def _seams() -> list[Finding]:
-    return [Finding(f"{seam.kind}s", None, ", ".join(seam.labels())) for seam in _SEAMS]
+def _seams() -> list[MachineFinding]:
+    return [MachineFinding(f"{seam.kind}s", None, ", ".join(seam.labels())) for seam in _SEAMS]
 
 
-def _weights() -> Finding:
+def _weights() -> MachineFinding:
     here = ", ".join(name for name in PUBLISHED if is_fetched(name)) or "none"
-    return Finding("weights", None, f"{here} in {weights_folder()}", "recast weights list")
+    return MachineFinding("weights", None, f"{here} in {weights_folder()}", "recast weights list")
 
 
-def finding_rows(findings: Sequence[Finding]) -> Rows:
+def finding_rows(findings: Sequence[MachineFinding]) -> Rows:
     """One row for each part of the machine; `present` is null for plain information."""
     return {"parts": [vars(finding) for finding in findings]}
 

@@ -31,7 +31,7 @@ from recast.simulation import (
 
 
 @dataclass(frozen=True)
-class Placed:
+class PlacedScenario:
     """A scenario on a log; why it cannot be run there, or what it becomes.
 
     Attributes:
@@ -46,7 +46,7 @@ class Placed:
 
 def place_scenarios(
     log_path: Path, names: Sequence[str], track: str | None, steps: int
-) -> list[Placed]:
+) -> list[PlacedScenario]:
     """Prepare scenarios on a log.
 
     Args:
@@ -61,13 +61,15 @@ def place_scenarios(
         try:
             prepared = prepare(setup)
         except InputError as error:
-            found.append(Placed(name, track, error))
+            found.append(PlacedScenario(name, track, error))
             continue
-        found.append(Placed(name, track, None, (setup, prepared, scenario_facts(setup, prepared))))
+        found.append(
+            PlacedScenario(name, track, None, (setup, prepared, scenario_facts(setup, prepared)))
+        )
     return found
 
 
-def placed_rows(placed: Sequence[Placed]) -> Rows:
+def placed_rows(placed: Sequence[PlacedScenario]) -> Rows:
     """One row for each scenario on a log; `refused` says why it cannot be run there."""
     return {
         "scenarios": [
@@ -99,7 +101,7 @@ def _facts(facts: ScenarioFacts) -> dict[str, Any]:
     }
 
 
-def show_scenarios(placed: Sequence[Placed], out: Path, console: Console) -> None:
+def show_scenarios(placed: Sequence[PlacedScenario], out: Path, console: Console) -> None:
     """Draw scenarios on a log's map into a PNG, and print what they become there.
 
     Raises:

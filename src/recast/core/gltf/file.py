@@ -20,12 +20,12 @@ from pydantic import ValidationError
 
 from recast.core import files
 from recast.core.errors import InputError
-from recast.core.gltf.tree import Part, Sparse, Tree
+from recast.core.gltf.tree import GltfPart, Sparse, Tree
 from recast.core.names import member
 from recast.core.records import validation_error
 
 One = TypeVar("One")
-Kind = TypeVar("Kind", bound=Part)
+Kind = TypeVar("Kind", bound=GltfPart)
 
 MOST_BYTES = 1 << 29
 """Maximum size in bytes of a file of triangles, and of any file that it names."""
@@ -75,12 +75,12 @@ class GlbFile:
         """The error of a member."""
         return InputError(self.path, field, problem, _MEND)
 
-    def no_data(self, field: str, owner: Part) -> InputError:
+    def no_data(self, field: str, owner: GltfPart) -> InputError:
         """The error of a member whose data are missing, or compressed by an extension."""
         names = self._compressions(owner)
         return self.fault(field, f"has no data{' without ' * bool(names)}{', '.join(names)}")
 
-    def _compressions(self, owner: Part) -> list[str]:
+    def _compressions(self, owner: GltfPart) -> list[str]:
         return [name for name in owner.extensions if _COMPRESSION in name.lower()]
 
     def at(self, members: Sequence[One], index: int, field: str) -> One:
@@ -89,7 +89,7 @@ class GlbFile:
             raise self.fault(field, f"is {index}, of {len(members)}")
         return members[index]
 
-    def extension(self, owner: Part, name: str, kind: type[Kind]) -> Kind | None:
+    def extension(self, owner: GltfPart, name: str, kind: type[Kind]) -> Kind | None:
         """An extension of an object; None if it has none of that name."""
         if name not in owner.extensions:
             return None

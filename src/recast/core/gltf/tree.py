@@ -25,14 +25,14 @@ POINTS, TRIANGLES, STRIP, FAN = 0, 4, 5, 6
 """Modes of a primitive."""
 
 
-class Part(BaseModel):
+class GltfPart(BaseModel):
     """An object of the chunk; members that are not declared are not looked at."""
 
     model_config = ConfigDict(frozen=True, allow_inf_nan=False, alias_generator=to_camel)
     extensions: Mapping[str, Any] = {}
 
 
-class View(Part):
+class GltfView(GltfPart):
     """A range of bytes of a buffer."""
 
     buffer: int
@@ -41,7 +41,7 @@ class View(Part):
     byte_stride: int | None = Field(None, ge=1, le=252)
 
 
-class SparseIndices(Part):
+class SparseIndices(GltfPart):
     """Rows of an accessor, in a view."""
 
     buffer_view: int
@@ -49,14 +49,14 @@ class SparseIndices(Part):
     component_type: Literal[5121, 5123, 5125]
 
 
-class SparseValues(Part):
+class SparseValues(GltfPart):
     """Numbers of rows of an accessor, in a view."""
 
     buffer_view: int
     byte_offset: int = Field(0, ge=0)
 
 
-class Sparse(Part):
+class Sparse(GltfPart):
     """Rows of an accessor that differ from its view, or from zeros."""
 
     count: int = Field(ge=1)
@@ -64,7 +64,7 @@ class Sparse(Part):
     values: SparseValues
 
 
-class Accessor(Part):
+class Accessor(GltfPart):
     """An array in a view."""
 
     buffer_view: int | None = None
@@ -76,35 +76,35 @@ class Accessor(Part):
     sparse: Sparse | None = None
 
 
-class Data(Part):
+class Data(GltfPart):
     """A buffer or an image."""
 
     uri: str | None = None
     buffer_view: int | None = None
 
 
-class Texture(Part):
+class GltfTexture(GltfPart):
     """An image and how it is sampled."""
 
     source: int | None = None
     sampler: int | None = None
 
 
-class Sampler(Part):
+class Sampler(GltfPart):
     """How a texture goes on beyond 0 and 1: clamped, mirrored or repeated."""
 
     wrap_s: Literal[33071, 33648, 10497] = 10497
     wrap_t: Literal[33071, 33648, 10497] = 10497
 
 
-class TextureUse(Part):
+class TextureUse(GltfPart):
     """A texture of a material."""
 
     index: int
     tex_coord: int = Field(0, ge=0)
 
 
-class Metallic(Part):
+class Metallic(GltfPart):
     """The metallic-roughness model."""
 
     base_color_factor: Four = (1.0, 1.0, 1.0, 1.0)
@@ -112,7 +112,7 @@ class Metallic(Part):
     roughness_factor: float = Share
 
 
-class Glossy(Part):
+class Glossy(GltfPart):
     """KHR_materials_pbrSpecularGlossiness, which stands in the place of `Metallic`."""
 
     diffuse_factor: Four = (1.0, 1.0, 1.0, 1.0)
@@ -120,31 +120,31 @@ class Glossy(Part):
     glossiness_factor: float = Share
 
 
-class Transmission(Part):
+class Transmission(GltfPart):
     """KHR_materials_transmission: clear glass."""
 
     transmission_factor: float = Field(0.0, ge=0, le=1)
 
 
-class EmissiveStrength(Part):
+class EmissiveStrength(GltfPart):
     """KHR_materials_emissive_strength."""
 
     emissive_strength: float = Field(1.0, ge=0)
 
 
-class Visibility(Part):
+class NodeVisibility(GltfPart):
     """KHR_node_visibility; it holds for the nodes below as well."""
 
     visible: bool = True
 
 
-class Instances(Part):
+class Instances(GltfPart):
     """EXT_mesh_gpu_instancing: accessors of TRANSLATION, ROTATION and SCALE."""
 
     attributes: dict[str, int]
 
 
-class Placement(Part):
+class TextureTransform(GltfPart):
     """KHR_texture_transform."""
 
     offset: tuple[float, float] = (0.0, 0.0)
@@ -159,7 +159,7 @@ class Placement(Part):
         return (uv * self.scale) @ turn.T + self.offset
 
 
-class Surface(Part):
+class GltfMaterial(GltfPart):
     """A material."""
 
     pbr_metallic_roughness: Metallic = Metallic()
@@ -169,7 +169,7 @@ class Surface(Part):
     emissive_texture: TextureUse | None = None
 
 
-class Primitive(Part):
+class Primitive(GltfPart):
     """Geometry of one material."""
 
     attributes: dict[str, int]
@@ -181,14 +181,14 @@ class Primitive(Part):
     """Of the targets: those of the mesh or the node, see `placed_primitives`."""
 
 
-class Mesh(Part):
+class GltfMesh(GltfPart):
     """Primitives that move together."""
 
     primitives: tuple[Primitive, ...]
     weights: tuple[float, ...] = ()
 
 
-class Node(Part):
+class GltfNode(GltfPart):
     """A frame, maybe with a mesh."""
 
     children: tuple[int, ...] = ()
@@ -221,32 +221,32 @@ def _pose(translation: Array, rotation: Array, scale: Array) -> Array:
     return se3.from_rotation_translation(turn * scale[..., None, :], translation)
 
 
-class Scene(Part):
+class GltfScene(GltfPart):
     """Nodes without a parent."""
 
     nodes: tuple[int, ...] = ()
 
 
-class Asset(Part):
+class GltfAsset(GltfPart):
     """What the file says about itself."""
 
     extras: Any = None
 
 
-class Tree(Part):
+class Tree(GltfPart):
     """The whole chunk."""
 
-    asset: Asset = Asset()
+    asset: GltfAsset = GltfAsset()
     scene: int = 0
-    scenes: tuple[Scene, ...] = ()
-    nodes: tuple[Node, ...] = Field((), max_length=MOST_NODES)
-    meshes: tuple[Mesh, ...] = ()
-    materials: tuple[Surface, ...] = ()
-    textures: tuple[Texture, ...] = ()
+    scenes: tuple[GltfScene, ...] = ()
+    nodes: tuple[GltfNode, ...] = Field((), max_length=MOST_NODES)
+    meshes: tuple[GltfMesh, ...] = ()
+    materials: tuple[GltfMaterial, ...] = ()
+    textures: tuple[GltfTexture, ...] = ()
     samplers: tuple[Sampler, ...] = ()
     images: tuple[Data, ...] = ()
     accessors: tuple[Accessor, ...] = ()
-    buffer_views: tuple[View, ...] = ()
+    buffer_views: tuple[GltfView, ...] = ()
     buffers: tuple[Data, ...] = ()
     extensions_required: tuple[str, ...] = ()
 
@@ -272,7 +272,7 @@ def placed_primitives(file: GlbFile) -> list[tuple[Primitive, Array, str]]:
         if index in seen:
             raise file.fault(field, "has two parents")
         seen.add(index)
-        visibility = file.extension(node, _VISIBILITY, Visibility)
+        visibility = file.extension(node, _VISIBILITY, NodeVisibility)
         if visibility is not None and not visibility.visible:
             continue
         if node.skin is not None:
@@ -296,7 +296,7 @@ def placed_primitives(file: GlbFile) -> list[tuple[Primitive, Array, str]]:
     return found
 
 
-def _instances(file: GlbFile, node: Node, field: str) -> Array:
+def _instances(file: GlbFile, node: GltfNode, field: str) -> Array:
     """(N, 4, 4) places of a node's mesh in the node's frame: one, unless it has instances."""
     extension = file.extension(node, _INSTANCES, Instances)
     if extension is None:

@@ -23,8 +23,8 @@ from recast.logs.importers.argoverse2_files import (
     TIME,
     TURN_US,
     Argoverse2Sweeps,
-    Calibration,
     Columns,
+    RigCalibration,
     TimedFiles,
     check_sensors,
     find_log,
@@ -236,9 +236,9 @@ def load_argoverse2(
     )
 
 
-def _calibration(folder: Path) -> Calibration:
+def _calibration(folder: Path) -> RigCalibration:
     if not (folder / "calibration").is_dir() and not (folder / "sensors").is_dir():
-        return Calibration({}, {})
+        return RigCalibration({}, {})
     calibration = read_calibration(folder / "calibration")
     check_sensors(folder, calibration)
     return calibration
@@ -284,7 +284,7 @@ def _ego(
 
 
 def _camera(
-    name: str, calibration: Calibration, listed: TimedFiles, trajectory: Trajectory
+    name: str, calibration: RigCalibration, listed: TimedFiles, trajectory: Trajectory
 ) -> CameraStream:
     camera = calibration.cameras[name]
     first, last = (int(time) for time in trajectory.timestamps_us[[0, -1]])
@@ -299,7 +299,7 @@ def _camera(
 
 
 def _lidars(
-    calibration: Calibration, sweeps: TimedFiles, trajectory: Trajectory
+    calibration: RigCalibration, sweeps: TimedFiles, trajectory: Trajectory
 ) -> dict[str, LidarStream]:
     first, last = (int(time) for time in trajectory.timestamps_us[[0, -1]])
     kept = sweeps.within(first, last - TURN_US)

@@ -172,7 +172,7 @@ def poses(path: Path, columns: Columns) -> Array:
 
 
 @dataclass(frozen=True)
-class Calibration:
+class RigCalibration:
     """Mounting of the sensors, by name.
 
     Attributes:
@@ -184,7 +184,7 @@ class Calibration:
     ego_from_sensor: dict[str, Array]
 
 
-def read_calibration(folder: Path) -> Calibration:
+def read_calibration(folder: Path) -> RigCalibration:
     """Read intrinsics.feather and egovehicle_SE3_sensor.feather.
 
     Raises:
@@ -211,10 +211,10 @@ def read_calibration(folder: Path) -> Calibration:
     ego_from_sensor = dict(zip(placed["sensor_name"].tolist(), poses(mounts, placed), strict=True))
     for name in cameras:
         _mount(folder, ego_from_sensor, name)
-    return Calibration(cameras, ego_from_sensor)
+    return RigCalibration(cameras, ego_from_sensor)
 
 
-def check_sensors(log: Path, calibration: Calibration) -> None:
+def check_sensors(log: Path, calibration: RigCalibration) -> None:
     """Every camera folder has a camera, and where there are sweeps, there are both LiDARs.
 
     Raises:

@@ -36,20 +36,20 @@ Pixels = Annotated[int, Field(ge=0, lt=1 << 16)]
 """0 for sweeps."""
 
 
-class Row(ForeignRecord):
+class NuscenesRow(ForeignRecord):
     """A row of a table; columns that are not named here are not looked at."""
 
     token: str
 
 
-class SceneRow(Row):
+class SceneRow(NuscenesRow):
     """scene.json: 20 s of a drive."""
 
     name: str
     log_token: str
 
 
-class LogRow(Row):
+class LogRow(NuscenesRow):
     """log.json: where and when scenes were recorded."""
 
     location: str = ""
@@ -57,14 +57,14 @@ class LogRow(Row):
     vehicle: str = ""
 
 
-class SampleRow(Row):
+class SampleRow(NuscenesRow):
     """sample.json: a key frame, two a second; the time of its boxes."""
 
     timestamp: Time
     scene_token: str
 
 
-class SampleDataRow(Row):
+class SampleDataRow(NuscenesRow):
     """sample_data.json: one image or sweep, also between key frames."""
 
     sample_token: str
@@ -78,7 +78,7 @@ class SampleDataRow(Row):
     height: Pixels
 
 
-class EgoPoseRow(Row):
+class EgoPoseRow(NuscenesRow):
     """ego_pose.json: ego to global, one for each image or sweep."""
 
     timestamp: Time
@@ -86,7 +86,7 @@ class EgoPoseRow(Row):
     translation: Vector
 
 
-class CalibratedSensorRow(Row):
+class CalibratedSensorRow(NuscenesRow):
     """calibrated_sensor.json: sensor to ego; cameras have intrinsics, others an empty list."""
 
     sensor_token: str
@@ -95,14 +95,14 @@ class CalibratedSensorRow(Row):
     camera_intrinsic: list[list[float]]
 
 
-class SensorRow(Row):
+class SensorRow(NuscenesRow):
     """sensor.json: name (channel) and kind (modality) of a sensor."""
 
     channel: str
     modality: str
 
 
-class AnnotationRow(Row):
+class AnnotationRow(NuscenesRow):
     """sample_annotation.json: a box at a key frame; width, length, height; box to global."""
 
     sample_token: str
@@ -112,19 +112,19 @@ class AnnotationRow(Row):
     rotation: Quaternion
 
 
-class InstanceRow(Row):
+class InstanceRow(NuscenesRow):
     """instance.json: an object through its scene."""
 
     category_token: str
 
 
-class CategoryRow(Row):
+class CategoryRow(NuscenesRow):
     """category.json: a kind of object, such as vehicle.car."""
 
     name: str
 
 
-Table = TypeVar("Table", bound=Row)
+Table = TypeVar("Table", bound=NuscenesRow)
 
 
 def stream_rows(path: Path) -> Iterator[dict[str, Any]]:
@@ -188,7 +188,12 @@ def select(
 
 
 def linked(
-    folder: Path, table: str, model: type[Table], rows: Sequence[Row], source: str, column: str
+    folder: Path,
+    table: str,
+    model: type[Table],
+    rows: Sequence[NuscenesRow],
+    source: str,
+    column: str,
 ) -> Mapping[str, Table]:
     """Rows by token of `table`.json that `column` of `rows` (of `source`.json) names.
 

@@ -23,8 +23,8 @@ from recast.logs.importers.waymo2_tables import (
     LASER,
     TIME,
     Components,
-    Row,
-    Table,
+    WaymoRow,
+    WaymoTable,
     read_cameras,
     read_lasers,
     read_notes,
@@ -33,8 +33,8 @@ from recast.logs.importers.waymo_proto import (
     CAMERA_NAME,
     LABEL_TYPE,
     LASER_NAME,
-    Choice,
     FieldError,
+    ProtoEnum,
 )
 from recast.logs.importers.waymo_segment import (
     MEND,
@@ -86,7 +86,7 @@ def read_segment(components: Components) -> Segment:
     return Segment(components.segment, cameras, calibrated, frames, read_notes(components), None)
 
 
-def _poses(table: Table) -> dict[int, tuple[Place, Array]]:
+def _poses(table: WaymoTable) -> dict[int, tuple[Place, Array]]:
     """Place in the file and pose of each frame."""
     poses: dict[int, tuple[Place, Array]] = {}
     for row in table.rows([TIME, "world_from_vehicle.transform"]):
@@ -100,7 +100,9 @@ def _poses(table: Table) -> dict[int, tuple[Place, Array]]:
     return poses
 
 
-def _key(row: Row, column: str, choice: Choice, found: Mapping[int, Mapping]) -> tuple[int, str]:
+def _key(
+    row: WaymoRow, column: str, choice: ProtoEnum, found: Mapping[int, Mapping]
+) -> tuple[int, str]:
     """Frame and sensor of a row."""
     time, name = _frame_of(row, found), row.choice(column, choice)
     if name in found[time]:
@@ -108,7 +110,7 @@ def _key(row: Row, column: str, choice: Choice, found: Mapping[int, Mapping]) ->
     return time, name
 
 
-def _frame_of(row: Row, frames: Mapping[int, Any]) -> int:
+def _frame_of(row: WaymoRow, frames: Mapping[int, Any]) -> int:
     time = row.integer(TIME)
     if time not in frames:
         raise FieldError(TIME, f"{time} is not the time of a frame in vehicle_pose")
@@ -148,7 +150,7 @@ def _lasers(components: Components, times: Iterable[int]) -> _ByFrame[LaserEntry
 
 
 def _matrices(
-    table: Table, fields: tuple[str, ...], times: Iterable[int]
+    table: WaymoTable, fields: tuple[str, ...], times: Iterable[int]
 ) -> _ByFrame[tuple[MatrixCell, ...]]:
     """The range images of each row: the first field must be there, others may be empty."""
     found: _ByFrame[tuple[MatrixCell, ...]] = {time: {} for time in times}

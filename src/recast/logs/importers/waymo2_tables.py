@@ -19,10 +19,10 @@ from recast.logs.importers.waymo_proto import (
     CAMERA_NAME,
     LASER_NAME,
     ROLLING_SHUTTER,
-    Choice,
     FieldError,
+    ProtoEnum,
 )
-from recast.logs.importers.waymo_segment import MEND, CameraCalibration, LaserCalibration, Place
+from recast.logs.importers.waymo_segment import MEND, LaserCalibration, Place, WaymoCamera
 from recast.logs.importers.waymo_values import camera_calibration, laser_calibration, rigid
 from recast.logs.types import Array
 from recast.tables import ROW_LIMIT, ParquetRows
@@ -46,7 +46,7 @@ _STATS = ["time_of_day", "location", "weather"]
 
 
 @dataclass(frozen=True)
-class Row:
+class WaymoRow:
     """A row of a table; its values are checked when asked for, and raise FieldError.
 
     Attributes:
@@ -55,7 +55,7 @@ class Row:
         values: values by column.
     """
 
-    table: Table
+    table: WaymoTable
     index: int
     values: Mapping[str, Any]
 
@@ -80,7 +80,7 @@ class Row:
         """A text."""
         return self._present(field, str, "text")
 
-    def choice(self, field: str, choice: Choice) -> str:
+    def choice(self, field: str, choice: ProtoEnum) -> str:
         """The name of an enumeration's value: some files hold the number, some the name itself."""
         value = self._present(field)
         if isinstance(value, str) and value in choice.names.values():
@@ -114,7 +114,7 @@ class Row:
 
 
 @dataclass(frozen=True)
-class Table:
+class WaymoTable:
     """One component of a segment.
 
     Attributes:
@@ -129,7 +129,7 @@ class Table:
         """The column of a field; keys are columns already."""
         return field if field.startswith("key.") else f"[{self.component}].{field}"
 
-    def rows(self, fields: Sequence[str]) -> Iterator[Row]:
+    def rows(self, fields: Sequence[str]) -> Iterator[WaymoRow]:
         """All rows with the keys (`key.NAME`) and fields asked for, a thousand in memory at once.
 
         Raises:
@@ -144,12 +144,12 @@ class Table:
         for group in range(len(file.first_rows) - 1):
             for batch in file.batches(group):
                 for values in batch.to_pylist():
-                    row = Row(self, index, values)
+                    row = WaymoRow(self, index, values)
                     self._check_segment(row)
                     yield row
                     index += 1
 
-    def _check_segment(self, row: Row) -> None:
+    def _check_segment(self, row: WaymoRow) -> None:
         with row.place.errors():
             name = row.text(SEGMENT)
             if name != self.path.stem:
@@ -169,7 +169,7 @@ class Components:
         """Whether a component was downloaded: people take only those they need."""
         return (self.folder / name).is_dir()
 
-    def table(self, name: str) -> Table:
+    def table(self, name: str) -> WaymoTable:
         """The table of a component.
 
         Raises:
@@ -178,7 +178,7 @@ class Components:
         path = self.folder / name / f"{self.segment}.parquet"
         if not path.is_file():
             raise InputError(path, "file", "is missing", f"download the component {name}")
-        return Table(path, COMPONENTS[name])
+        return WaymoTable(path, COMPONENTS[name])
 
     def left_out(self) -> list[str]:
         """Components that are not there."""
@@ -212,13 +212,13 @@ def find_segment(root: Path, drive: str) -> Components:
     raise unknown_drive(root, name, others, otherwise, problem)
 
 
-def read_cameras(components: Components) -> dict[str, CameraCalibration]:
+def read_cameras(components: Components) -> dict[str, WaymoCamera]:
     """Cameras by name; none where neither calibrations nor images were downloaded.
 
     Raises:
         InputError: the file is missing or damaged, or a calibration is wrong or there twice.
     """
-    found: dict[str, CameraCalibration] = {}
+    found: dict[str, WaymoCamera] = {}
     if not components.has("camera_calibration") and not components.has("camera_image"):
         return found
     fields = ["width", "height", *_INTRINSIC, "extrinsic.transform", "rolling_shutter_direction"]
@@ -257,7 +257,7 @@ def read_lasers(components: Components) -> dict[str, LaserCalibration]:
     return found
 
 
-def _new_name(row: Row, column: str, choice: Choice, known: Mapping[str, Any]) -> str:
+def _new_name(row: WaymoRow, column: str, choice: ProtoEnum, known: Mapping[str, Any]) -> str:
     name = row.choice(column, choice)
     if name in known:
         raise FieldError(column, f"{name} appears twice")

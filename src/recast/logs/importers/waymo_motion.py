@@ -13,7 +13,7 @@ from recast.logs.importers.common import LISTED
 from recast.logs.importers.waymo_map import decode_features, hd_map
 from recast.logs.importers.waymo_proto import FieldError, Message, decode
 from recast.logs.importers.waymo_segment import record_errors
-from recast.logs.importers.waymo_tfrecord import Record, read_records
+from recast.logs.importers.waymo_tfrecord import TfRecord, read_records
 from recast.logs.types import Array, DrivingLog, Int64Array, Track, Trajectory
 
 CATEGORIES = {
@@ -61,7 +61,7 @@ def load_scenario(path: Path, scenario: str | None, licence: str) -> DrivingLog:
     )
 
 
-def _choose(path: Path, scenario: str | None) -> Record:
+def _choose(path: Path, scenario: str | None) -> TfRecord:
     chosen, names = None, []
     for record in read_records(path):
         with record_errors(path, record.number):

@@ -29,7 +29,7 @@ class FieldError(ValueError):
 
 
 @dataclass(frozen=True)
-class Choice:
+class ProtoEnum:
     """An enumeration: names by number."""
 
     name: str
@@ -43,12 +43,14 @@ class Choice:
         return self.names[number]
 
 
-CAMERA_NAME = Choice(
+CAMERA_NAME = ProtoEnum(
     "CameraName",
     {1: "FRONT", 2: "FRONT_LEFT", 3: "FRONT_RIGHT", 4: "SIDE_LEFT", 5: "SIDE_RIGHT"},
 )
-LASER_NAME = Choice("LaserName", {1: "TOP", 2: "FRONT", 3: "SIDE_LEFT", 4: "SIDE_RIGHT", 5: "REAR"})
-ROLLING_SHUTTER = Choice(
+LASER_NAME = ProtoEnum(
+    "LaserName", {1: "TOP", 2: "FRONT", 3: "SIDE_LEFT", 4: "SIDE_RIGHT", 5: "REAR"}
+)
+ROLLING_SHUTTER = ProtoEnum(
     "RollingShutterReadOutDirection",
     {
         0: "unknown",
@@ -59,13 +61,13 @@ ROLLING_SHUTTER = Choice(
         5: "global",
     },
 )
-LABEL_TYPE = Choice(
+LABEL_TYPE = ProtoEnum(
     "Label.Type", {0: "unknown", 1: "vehicle", 2: "pedestrian", 3: "sign", 4: "cyclist"}
 )
-_OBJECT_TYPE = Choice(
+_OBJECT_TYPE = ProtoEnum(
     "Track.ObjectType", {0: "unset", 1: "vehicle", 2: "pedestrian", 3: "cyclist", 4: "other"}
 )
-_LANE_TYPE = Choice("LaneType", {0: "undefined", 1: "freeway", 2: "surface", 3: "bike"})
+_LANE_TYPE = ProtoEnum("LaneType", {0: "undefined", 1: "freeway", 2: "surface", 3: "bike"})
 _CHOICES = {
     choice.name: choice
     for choice in (CAMERA_NAME, LASER_NAME, ROLLING_SHUTTER, LABEL_TYPE, _OBJECT_TYPE, _LANE_TYPE)

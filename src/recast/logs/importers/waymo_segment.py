@@ -77,7 +77,7 @@ class StoredMatrix(Protocol):
 
 
 @dataclass(frozen=True)
-class CameraCalibration:
+class WaymoCamera:
     """One camera.
 
     Attributes:
@@ -199,7 +199,7 @@ class Segment:
     """
 
     name: str
-    cameras: Mapping[str, CameraCalibration]
+    cameras: Mapping[str, WaymoCamera]
     lasers: Mapping[str, LaserCalibration]
     frames: tuple[FrameEntry, ...]
     notes: Mapping[str, str]

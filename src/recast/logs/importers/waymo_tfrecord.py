@@ -23,7 +23,6 @@ from recast.logs.importers.waymo_map import decode_features
 from recast.logs.importers.waymo_proto import FieldError, Message, decode
 from recast.logs.importers.waymo_segment import (
     MEND,
-    CameraCalibration,
     FrameEntry,
     ImageEntry,
     LabelEntry,
@@ -32,6 +31,7 @@ from recast.logs.importers.waymo_segment import (
     MapFeatures,
     Place,
     Segment,
+    WaymoCamera,
 )
 from recast.logs.importers.waymo_values import (
     camera_calibration,
@@ -61,7 +61,7 @@ _LARGEST = 1 << 24
 
 
 @dataclass(frozen=True)
-class Record:
+class TfRecord:
     """One record.
 
     Attributes:
@@ -81,7 +81,7 @@ def masked_crc(data: bytes) -> int:
     return (((crc >> 15) | (crc << 17)) + _MASK) & 0xFFFFFFFF
 
 
-def read_records(path: Path) -> Iterator[Record]:
+def read_records(path: Path) -> Iterator[TfRecord]:
     """All records of a file in order, both checksums of each compared.
 
     Raises:
@@ -116,7 +116,7 @@ def example_feature(data: bytes) -> str:
     return match["name"].decode() if whole and len(match["name"]) == ord(match["size"]) else ""
 
 
-def _read_record(path: Path, file: BinaryIO, size: int, number: int) -> Record:
+def _read_record(path: Path, file: BinaryIO, size: int, number: int) -> TfRecord:
     header = file.read(_HEADER.size)
     where = f"record {number}"
     if len(header) < _HEADER.size:
@@ -138,7 +138,7 @@ def _read_record(path: Path, file: BinaryIO, size: int, number: int) -> Record:
     data = file.read(length)
     if masked_crc(data) != _FOOTER.unpack(file.read(_FOOTER.size))[0]:
         raise InputError(path, f"{where}, data", "do not match their checksum", MEND)
-    return Record(number, offset, data)
+    return TfRecord(number, offset, data)
 
 
 def read_segment(path: Path) -> Segment:
@@ -186,7 +186,7 @@ def _transform(message: Message, name: str) -> Array:
     return rigid(message[name]["transform"], f"{message.path(name)}.transform")
 
 
-def _camera(message: Message) -> CameraCalibration:
+def _camera(message: Message) -> WaymoCamera:
     intrinsic = message["intrinsic"]
     if len(intrinsic) != 9:
         raise FieldError(message.path("intrinsic"), f"has {len(intrinsic)} numbers, not 9")
@@ -209,7 +209,7 @@ def _laser_calibration(message: Message) -> LaserCalibration:
     )
 
 
-def _frame(place: Place, record: Record, message: Message) -> FrameEntry:
+def _frame(place: Place, record: TfRecord, message: Message) -> FrameEntry:
     images: dict[str, ImageEntry] = {}
     lasers: dict[str, LaserEntry] = {}
     start_us = frame_time(message["timestamp_micros"], message.path("timestamp_micros"))
@@ -237,7 +237,7 @@ def _image(image: Message, jpeg: FilePart, start_us: int) -> ImageEntry:
     return image_entry(jpeg, _transform(image, "pose"), seconds, start_us)
 
 
-def _laser(place: Place, record: Record, laser: Message) -> LaserEntry | None:
+def _laser(place: Place, record: TfRecord, laser: Message) -> LaserEntry | None:
     """None where it has no range image at all: some files come without, to be small."""
     parts, poses = [], None
     for name in ("return1", "return2"):
@@ -250,14 +250,14 @@ def _laser(place: Place, record: Record, laser: Message) -> LaserEntry | None:
     return LaserEntry(tuple(parts), poses) if parts else None
 
 
-def _part_of(place: Place, record: Record, message: Message, name: str) -> FilePart:
+def _part_of(place: Place, record: TfRecord, message: Message, name: str) -> FilePart:
     data = message[name]
     return FilePart(
         place.inside(message.path(name)), record.offset + _find(data, record), len(data)
     )
 
 
-def _find(part: bytes, record: Record) -> int:
+def _find(part: bytes, record: TfRecord) -> int:
     """Where a part of a record begins, which protobuf does not tell.
 
     Files of one kind begin alike, but end differently.

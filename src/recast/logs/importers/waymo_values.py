@@ -16,12 +16,12 @@ from recast.geometry import se3
 from recast.logs import checks
 from recast.logs.importers.waymo_proto import FieldError
 from recast.logs.importers.waymo_segment import (
-    CameraCalibration,
     ImageEntry,
     LabelEntry,
     LaserCalibration,
     Place,
     StoredBytes,
+    WaymoCamera,
 )
 from recast.logs.types import Array, Float32Array
 
@@ -63,7 +63,7 @@ def frame_time(time_us: int, where: str) -> int:
 
 def camera_calibration(
     where: str, size: tuple[int, int], intrinsic: Sequence[float], extrinsic: Array, shutter: str
-) -> CameraCalibration:
+) -> WaymoCamera:
     """A camera of (width, height), with fu, fv, cu, cv, k1, k2, p1, p2, k3.
 
     Its distortion is OpenCV's, on u = -y / x and v = -z / x. Pixel coordinates are continuous, 0 at
@@ -78,7 +78,7 @@ def camera_calibration(
         camera.validate()
     except ValueError as error:
         raise FieldError(where, str(error)) from None
-    return CameraCalibration(camera, extrinsic @ WAYMO_FROM_OPENCV, shutter)
+    return WaymoCamera(camera, extrinsic @ WAYMO_FROM_OPENCV, shutter)
 
 
 def laser_calibration(

@@ -31,7 +31,7 @@ from numpy.typing import NDArray
 from recast.arrays import Array, Image
 from recast.core import files
 from recast.core.errors import InputError
-from recast.metrics.actor_scores import Cutout
+from recast.metrics.actor_scores import ScoredCutout
 from recast.metrics.features import ToyFeatures
 from recast.metrics.inception import load_inception
 from recast.metrics.perceptual import load_lpips
@@ -170,7 +170,7 @@ class Networks:
 def _toy(images: Sequence[Image]) -> NDArray[np.generic]:
     """`ToyFeatures` of images of which nothing is transparent."""
     network = ToyFeatures()
-    opaque = (Cutout(one.astype(np.float64) / 255, np.ones(one.shape[:2])) for one in images)
+    opaque = (ScoredCutout(one.astype(np.float64) / 255, np.ones(one.shape[:2])) for one in images)
     return np.stack([network.features(one) for one in opaque])
 
 

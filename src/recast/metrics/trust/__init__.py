@@ -1,7 +1,7 @@
 """How far to trust the verdict of a rollout, from what is known without the truth."""
 
 from recast.metrics.trust.calibration import (
-    Calibration,
+    TrustCalibration,
     calibrate,
     packaged_calibration,
     read_calibration,
@@ -21,7 +21,6 @@ from recast.metrics.trust.views import GivenCamera, HeldOutFrame, RecordedViews
 __all__ = [
     "FEATURES",
     "SIGHTLESS",
-    "Calibration",
     "Feature",
     "GivenCamera",
     "HeldOutFrame",
@@ -30,6 +29,7 @@ __all__ = [
     "Reliability",
     "ReliabilityBin",
     "RolloutTrust",
+    "TrustCalibration",
     "TrustFeatures",
     "area_under_roc",
     "calibrate",

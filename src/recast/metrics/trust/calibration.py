@@ -52,7 +52,7 @@ class CalibrationBin(Record):
     agreeing: _Share | None
 
 
-class LeftOut(Record):
+class LeftOutScenes(Record):
     """See `Reliability`; each scene is judged by a model that was fitted without it."""
 
     scenes: int = Field(ge=2)
@@ -76,7 +76,7 @@ class CalibrationData(Record):
     agreeing: int = Field(ge=0)
 
 
-class Calibration(Record):
+class TrustCalibration(Record):
     """What turns the features of a rollout into its trust; see docs/trust.md."""
 
     format: Literal["recast-trust"] = FORMAT
@@ -85,7 +85,7 @@ class Calibration(Record):
     ridge: float = Field(gt=0)
     features: tuple[CalibratedFeature, ...]
     data: CalibrationData
-    left_out: LeftOut
+    left_out: LeftOutScenes
 
     @model_validator(mode="after")
     def _fits(self) -> Self:
@@ -112,7 +112,7 @@ class Calibration(Record):
 
 def calibrate(
     rollouts: Sequence[JudgedRollout], grids: Sequence[str], ridge: float = RIDGE
-) -> tuple[Calibration, Reliability]:
+) -> tuple[TrustCalibration, Reliability]:
     """The calibration of rollouts whose verdicts were compared with the truth, and how it does.
 
     Args:
@@ -141,7 +141,7 @@ def calibrate(
     found = reliability(rollouts, trust_left_out(rollouts, ridge))
     model = fit_rollouts(rollouts, ridge)
     columns = zip(READ, model.coefficients, model.means, model.scales, strict=True)
-    calibration = Calibration(
+    calibration = TrustCalibration(
         intercept=model.intercept,
         ridge=ridge,
         features=tuple(
@@ -162,12 +162,12 @@ def calibrate(
             rollouts=len(rollouts),
             agreeing=agreeing,
         ),
-        left_out=LeftOut.model_validate(asdict(found)),
+        left_out=LeftOutScenes.model_validate(asdict(found)),
     )
     return calibration, found
 
 
-def write_calibration(calibration: Calibration, path: str | Path) -> None:
+def write_calibration(calibration: TrustCalibration, path: str | Path) -> None:
     """Write a calibration, whole or not at all.
 
     Raises:
@@ -176,16 +176,16 @@ def write_calibration(calibration: Calibration, path: str | Path) -> None:
     files.write_json(path, calibration.model_dump(mode="json"))
 
 
-def read_calibration(path: str | Path) -> Calibration:
+def read_calibration(path: str | Path) -> TrustCalibration:
     """Read back what `write_calibration` wrote.
 
     Raises:
         InputError: it is missing, damaged, or of features that this recast does not have.
     """
-    return read_record(path, Calibration, VERSION, _MEND, FORMAT)
+    return read_record(path, TrustCalibration, VERSION, _MEND, FORMAT)
 
 
 @cache
-def packaged_calibration() -> Calibration:
+def packaged_calibration() -> TrustCalibration:
     """The calibration that runs and reports use."""
     return read_calibration(Path(__file__).parent / "calibration.json")

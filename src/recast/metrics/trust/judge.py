@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from recast.metrics.trust.calibration import Calibration
+from recast.metrics.trust.calibration import TrustCalibration
 from recast.metrics.trust.features import FEATURES, TrustFeatures
 
 _LEAST_EFFECT = 0.2
@@ -56,7 +56,7 @@ SIGHTLESS = RolloutTrust(
 """Of a rollout whose planner is given no image."""
 
 
-def judge(features: TrustFeatures, calibration: Calibration) -> RolloutTrust:
+def judge(features: TrustFeatures, calibration: TrustCalibration) -> RolloutTrust:
     """The trust of a rollout by a calibration."""
     model = calibration.model
     value = model.trust(features.values)

@@ -27,7 +27,7 @@ Depth = Annotated[int, Field(gt=0, le=64, strict=True)]
 Yaw = Annotated[float, Field(ge=-180.0, le=180.0)]
 
 
-class StageConfig(Record):
+class BackboneStage(Record):
     """One stage of the backbone.
 
     Attributes:
@@ -40,9 +40,9 @@ class StageConfig(Record):
     out_channels: Count
 
 
-def _v2_99() -> tuple[StageConfig, ...]:
+def _v2_99() -> tuple[BackboneStage, ...]:
     sizes = ((1, 128, 256), (3, 160, 512), (9, 192, 768), (3, 224, 1024))
-    return tuple(StageConfig(blocks=b, conv_channels=c, out_channels=o) for b, c, o in sizes)
+    return tuple(BackboneStage(blocks=b, conv_channels=c, out_channels=o) for b, c, o in sizes)
 
 
 class BackboneConfig(Record):
@@ -57,7 +57,7 @@ class BackboneConfig(Record):
     """
 
     stem: tuple[Count, Count, Count] = (64, 64, 128)
-    stages: tuple[StageConfig, ...] = Field(default_factory=_v2_99, min_length=1, max_length=6)
+    stages: tuple[BackboneStage, ...] = Field(default_factory=_v2_99, min_length=1, max_length=6)
     layers: Depth = 5
     frozen_norm: bool = True
 

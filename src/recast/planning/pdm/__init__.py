@@ -1,17 +1,17 @@
 """PDM-Closed: proposals along the centreline, simulated, scored, the best one driven."""
 
-from recast.planning.pdm.centreline import LanePath
+from recast.planning.pdm.centreline import Centreline
 from recast.planning.pdm.closed import PdmClosed, PdmClosedPlanner, PdmPlan
 from recast.planning.pdm.extended import ExtendedScores, extended_comfort, score_extended
-from recast.planning.pdm.forecast import Forecast, Kind, Obstacle, forecast, observed
+from recast.planning.pdm.forecast import AgentKind, Forecast, Obstacle, forecast, observed
 from recast.planning.pdm.proposals import PdmConfig
 from recast.planning.pdm.scorer import Scores, score_proposals
 
 __all__ = [
+    "AgentKind",
+    "Centreline",
     "ExtendedScores",
     "Forecast",
-    "Kind",
-    "LanePath",
     "Obstacle",
     "PdmClosed",
     "PdmClosedPlanner",

@@ -28,7 +28,7 @@ _LOOP_AREA = 1.0
 """Square metres that two connectors of a route may share before it counts as a loop."""
 
 
-class LanePath:
+class Centreline:
     """Poses joined by straight chords; unlike `Polyline`, neighbours may be equal.
 
     They are where a lane ends and the next one begins.
@@ -85,12 +85,12 @@ class LanePath:
         between = self.poses[(start < self.progress) & (self.progress < end), :2]
         return shapely.LineString(np.vstack([first, between, last]))
 
-    def shifted(self, offset: float) -> LanePath:
+    def shifted(self, offset: float) -> Centreline:
         """The parallel path `offset` metres to the left; every pose keeps its heading."""
         moved = self.poses.copy()
         moved[:, 0] += offset * np.cos(moved[:, 2] + np.pi / 2)
         moved[:, 1] += offset * np.sin(moved[:, 2] + np.pi / 2)
-        return LanePath(moved)
+        return Centreline(moved)
 
 
 def start_block(planner_map: PlannerMap, pose: ArrayLike, route: Sequence[str]) -> str | None:
@@ -144,7 +144,9 @@ def heading_error(lane: PlannerLane, pose: Array) -> float:
     return abs(float(se2.wrap_angle(lane.centreline[nearest, 2] - pose[2])))
 
 
-def route_centreline(planner_map: PlannerMap, route: Sequence[str], start: PlannerLane) -> LanePath:
+def route_centreline(
+    planner_map: PlannerMap, route: Sequence[str], start: PlannerLane
+) -> Centreline:
     """Centrelines of the shortest chain of lanes from `start` to the last block of the route.
 
     Dijkstra over the route's lanes, each costing its length, within the next 30 blocks. Where that
@@ -174,7 +176,7 @@ def route_centreline(planner_map: PlannerMap, route: Sequence[str], start: Plann
     chain = [best]
     while chain[-1] in came_from:
         chain.append(came_from[chain[-1]])
-    return LanePath(np.concatenate([planner_map.lanes[k].centreline for k in reversed(chain)]))
+    return Centreline(np.concatenate([planner_map.lanes[k].centreline for k in reversed(chain)]))
 
 
 def repair_route(planner_map: PlannerMap, route: Sequence[str], start: str | None) -> list[str]:

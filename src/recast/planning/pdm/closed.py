@@ -20,7 +20,7 @@ from recast.geometry import se2
 from recast.planning.map import PlannerLane, PlannerMap
 from recast.planning.map_from_log import continued_route, planner_map, route_blocks
 from recast.planning.pdm.centreline import (
-    LanePath,
+    Centreline,
     repair_route,
     route_centreline,
     start_block,
@@ -93,11 +93,11 @@ class PdmClosed:
         self.config = config or PdmConfig()
         self._map, self._vehicle = planner_map, vehicle
         self._route, self._route_lanes = list(route), planner_map.lanes_of(route)
-        self._paths: list[LanePath] = []
+        self._paths: list[Centreline] = []
         self._collided: set[str] = set()
 
     @property
-    def centreline(self) -> LanePath:
+    def centreline(self) -> Centreline:
         """The path along the route; available after the first plan."""
         return self._paths[0]
 

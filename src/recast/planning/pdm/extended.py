@@ -19,7 +19,7 @@ from recast.dynamics import state as ego
 from recast.dynamics.comfort import NUPLAN_LIMITS, check, savgol_signals
 from recast.planning.map import PlannerMap
 from recast.planning.pdm.areas import ego_areas
-from recast.planning.pdm.centreline import LanePath
+from recast.planning.pdm.centreline import Centreline
 from recast.planning.pdm.forecast import Forecast, box_centres, box_corners
 from recast.planning.pdm.scorer import at_fault_collisions, graded_direction, time_to_collision
 
@@ -79,7 +79,7 @@ class ExtendedScores:
 def score_extended(
     states: Array,
     forecast: Forecast,
-    centreline: LanePath,
+    centreline: Centreline,
     planner_map: PlannerMap,
     route_lanes: Iterable[str],
     vehicle: VehicleParameters = PACIFICA,
@@ -157,7 +157,7 @@ def traffic_light_compliance(corners: Array, forecast: Forecast) -> Array:
     return np.where(met.any(axis=1), 0.0, 1.0)
 
 
-def lane_keeping(centres: Array, crossing: BoolArray, centreline: LanePath) -> Array:
+def lane_keeping(centres: Array, crossing: BoolArray, centreline: Centreline) -> Array:
     """LK (P,): 0 after 20 samples in a row more than 0.5 m off the centreline, else 1.
 
     Samples in an intersection are skipped; they do not end a row.

@@ -21,7 +21,7 @@ STRIDE = 2
 RED_LIGHT = "red_light_"
 
 
-class Kind(Enum):
+class AgentKind(Enum):
     """What an obstacle is, as far as PDM cares; the value is how many of them count at most."""
 
     VEHICLE = ("vehicle", 50)
@@ -33,7 +33,7 @@ class Kind(Enum):
     @property
     def moves(self) -> bool:
         """Whether it is a road user."""
-        return self in (Kind.VEHICLE, Kind.PEDESTRIAN, Kind.BICYCLE)
+        return self in (AgentKind.VEHICLE, AgentKind.PEDESTRIAN, AgentKind.BICYCLE)
 
 
 @dataclass(frozen=True)
@@ -48,7 +48,7 @@ class Obstacle:
     """
 
     token: str
-    kind: Kind
+    kind: AgentKind
     pose: Array
     velocity: Array
     size: Array
@@ -56,8 +56,8 @@ class Obstacle:
     @classmethod
     def from_actor(cls, actor: ActorState) -> Obstacle:
         """The obstacle of an actor; categories that are neither person nor cycle are vehicles."""
-        kinds = {"pedestrian": Kind.PEDESTRIAN, "cyclist": Kind.BICYCLE}
-        kind = kinds.get(actor.category, Kind.VEHICLE)
+        kinds = {"pedestrian": AgentKind.PEDESTRIAN, "cyclist": AgentKind.BICYCLE}
+        kind = kinds.get(actor.category, AgentKind.VEHICLE)
         return cls(actor.track_id, kind, actor.pose, actor.velocity, actor.size[:2])
 
     @property
@@ -79,7 +79,7 @@ class Forecast:
     """
 
     tokens: tuple[str, ...]
-    kinds: tuple[Kind, ...]
+    kinds: tuple[AgentKind, ...]
     headings: Array
     speeds: Array
     polygons: NDArray[np.object_]
@@ -89,7 +89,7 @@ class Forecast:
     @cached_property
     def red(self) -> BoolArray:
         """(n,) which are red lights."""
-        return np.array([kind is Kind.RED_LIGHT for kind in self.kinds], np.bool_)
+        return np.array([kind is AgentKind.RED_LIGHT for kind in self.kinds], np.bool_)
 
     def at(self, step: int) -> NDArray[np.object_]:
         """The polygons (n,) at a step."""
@@ -170,7 +170,7 @@ def forecast(
     for i, (_, polygon) in enumerate(red_lights):
         polygons[:, count + i] = polygon
     tokens = (*(o.token for o in chosen), *(RED_LIGHT + lane for lane, _ in red_lights))
-    kinds = (*(o.kind for o in chosen), *(Kind.RED_LIGHT for _ in red_lights))
+    kinds = (*(o.kind for o in chosen), *(AgentKind.RED_LIGHT for _ in red_lights))
     known = np.array([token in collided for token in tokens], np.bool_)
     ignored = known | shapely.intersects(ego, polygons[0])
     ignored[count:] = known[count:] | shapely.within(ego, polygons[0, count:])
@@ -204,7 +204,7 @@ def observed(
     zeros = [0.0] * len(red_lights)
     return Forecast(
         (*(o.token for o in obstacles), *(RED_LIGHT + lane for lane, _, _ in red_lights)),
-        (*(o.kind for o in obstacles), *(Kind.RED_LIGHT for _ in red_lights)),
+        (*(o.kind for o in obstacles), *(AgentKind.RED_LIGHT for _ in red_lights)),
         np.array([*(float(o.pose[2]) for o in obstacles), *zeros]),
         np.array([*(o.speed for o in obstacles), *zeros]),
         polygons,
@@ -233,8 +233,9 @@ def _nearest(
     obstacles: Iterable[Obstacle], centre: Array, collided: set[str], radius: float
 ) -> list[Obstacle]:
     """Static objects first, then the others, by kind and distance."""
-    near: dict[Kind, list[tuple[float, Obstacle]]] = {
-        kind: [] for kind in (Kind.STATIC, Kind.VEHICLE, Kind.PEDESTRIAN, Kind.BICYCLE)
+    near: dict[AgentKind, list[tuple[float, Obstacle]]] = {
+        kind: []
+        for kind in (AgentKind.STATIC, AgentKind.VEHICLE, AgentKind.PEDESTRIAN, AgentKind.BICYCLE)
     }
     for obstacle in obstacles:
         distance = float(np.linalg.norm(obstacle.pose[:2] - centre))

@@ -15,7 +15,7 @@ from recast.dynamics import state as ego
 from recast.dynamics.idm import PDM_BATCH
 from recast.dynamics.tracker import DEFAULT, PDM_REFERENCE
 from recast.geometry import se2
-from recast.planning.pdm.centreline import LanePath
+from recast.planning.pdm.centreline import Centreline
 from recast.planning.pdm.forecast import STRIDE, Forecast, box_corners
 
 DT = 0.1
@@ -85,7 +85,7 @@ class Unroll:
 
     def __init__(
         self,
-        paths: Sequence[LanePath],
+        paths: Sequence[Centreline],
         targets: ArrayLike,
         forecast: Forecast,
         state: ArrayLike,

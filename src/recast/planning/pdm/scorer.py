@@ -16,7 +16,7 @@ from recast.dynamics.comfort import NUPLAN_LIMITS, check, savgol_signals
 from recast.geometry import se2
 from recast.planning.map import PlannerMap
 from recast.planning.pdm.areas import EgoAreas, ego_areas
-from recast.planning.pdm.centreline import LanePath
+from recast.planning.pdm.centreline import Centreline
 from recast.planning.pdm.forecast import Forecast, box_centres, box_corners
 
 _STOPPED = 0.05
@@ -63,7 +63,7 @@ class Scores:
 def score_proposals(
     states: Array,
     forecast: Forecast,
-    centreline: LanePath,
+    centreline: Centreline,
     planner_map: PlannerMap,
     route_lanes: Iterable[str],
     vehicle: VehicleParameters,
@@ -134,7 +134,7 @@ def graded_direction(metres: Array) -> Array:
 
 
 @dataclass(frozen=True)
-class Verdict:
+class ProposalVerdict:
     """One score per proposal.
 
     Attributes:
@@ -148,7 +148,7 @@ class Verdict:
 
 def at_fault_collisions(
     states: Array, corners: Array, areas: EgoAreas, forecast: Forecast
-) -> Verdict:
+) -> ProposalVerdict:
     """NC: 0 after a collision at fault with a road user, 0.5 with an object, else 1.
 
     At fault: into something standing, with the front bumper, or sideways while across lanes or off
@@ -175,7 +175,7 @@ def at_fault_collisions(
 
 def time_to_collision(
     states: Array, corners: Array, areas: EgoAreas, forecast: Forecast, dt: float = 0.1
-) -> Verdict:
+) -> ProposalVerdict:
     """TTC: 0 where a proposal comes within 0.9 s of a collision ahead, else 1.
 
     At every step the box is moved on at constant velocity by 0, 0.3, 0.6 and 0.9 s and compared
@@ -208,9 +208,9 @@ def _bearing(states: Array, shapes: NDArray[np.object_]) -> Array:
     return np.abs(se2.wrap_angle(course - states[:, ego.HEADING]))
 
 
-def _verdict(proposals: int, p: Int64Array, scores: Array, steps: Int64Array) -> Verdict:
+def _verdict(proposals: int, p: Int64Array, scores: Array, steps: Int64Array) -> ProposalVerdict:
     """The worst score and the first step of the faults (F,) of each proposal."""
-    verdict = Verdict(np.ones(proposals), np.full(proposals, np.inf))
+    verdict = ProposalVerdict(np.ones(proposals), np.full(proposals, np.inf))
     np.minimum.at(verdict.score, p, scores)
     np.minimum.at(verdict.first_step, p, steps)
     return verdict

@@ -9,17 +9,17 @@ docs/recar.md.
 
 from recast.recar.ingest.duplicates import DUPLICATE_BITS, perceptual_hash
 from recast.recar.ingest.ingest import IngestReport, ingest_photographs
-from recast.recar.ingest.photograph import BackgroundRemover, Cutout
+from recast.recar.ingest.photograph import PhotographCutout, PhotographMasker
 from recast.recar.ingest.settings import EXPERIMENTAL, LAYOUTS, IngestSettings
 
 __all__ = [
     "DUPLICATE_BITS",
     "EXPERIMENTAL",
     "LAYOUTS",
-    "BackgroundRemover",
-    "Cutout",
     "IngestReport",
     "IngestSettings",
+    "PhotographCutout",
+    "PhotographMasker",
     "ingest_photographs",
     "perceptual_hash",
 ]

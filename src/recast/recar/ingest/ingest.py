@@ -22,7 +22,7 @@ from recast.recar.ingest.duplicates import (
     write_report,
 )
 from recast.recar.ingest.folder import check_sizes, photographs_of
-from recast.recar.ingest.photograph import BackgroundRemover, Candidate, Prepared, prepare
+from recast.recar.ingest.photograph import PhotographCandidate, PhotographMasker, Prepared, prepare
 from recast.recar.ingest.settings import LAYOUTS, IngestSettings, VehicleRow, find_table, read_table
 from recast.recar.ingest.walkaround import pick_photographs
 from recast.recar.set_records import IDENTITY_FILE, IdentityRecord, SetRecord, split_of, view_file
@@ -56,7 +56,7 @@ def ingest_photographs(
     photos: str | Path,
     out: str | Path,
     settings: IngestSettings,
-    remover: BackgroundRemover | None,
+    remover: PhotographMasker | None,
     *,
     table: str | Path | None = None,
     skip_bad: bool = False,
@@ -131,7 +131,7 @@ class _Ingest:
         self._seen = SeenPictures(settings.duplicate_bits)
         self._splits: dict[str, str] = {}
 
-    def look(self, table: Path | None) -> list[Candidate]:
+    def look(self, table: Path | None) -> list[PhotographCandidate]:
         """The vehicles whose rows, folders and picture headers are right."""
         if not self.photos.is_dir():
             raise InputError(self.photos, "photographs", "are missing", "check the path")
@@ -152,16 +152,18 @@ class _Ingest:
                 self.skip(row.id, error)
         return candidates
 
-    def _candidate(self, row: VehicleRow) -> Candidate:
+    def _candidate(self, row: VehicleRow) -> PhotographCandidate:
         settings = self.settings
         layout = LAYOUTS[settings.layout]
         if layout is None:
-            return Candidate(row, photographs_of(self.photos, row, settings))
+            return PhotographCandidate(row, photographs_of(self.photos, row, settings))
         picked = pick_photographs(self.photos, row, settings.views, settings.azimuth_within, layout)
         check_sizes(picked.photographs, settings)
         return picked
 
-    def already_there(self, candidates: list[Candidate], record: SetRecord) -> list[Candidate]:
+    def already_there(
+        self, candidates: list[PhotographCandidate], record: SetRecord
+    ) -> list[PhotographCandidate]:
         """Remember the pictures of finished vehicles; the others are left to do."""
         finished = read_identities(self.out, record)
         left = []
@@ -182,7 +184,9 @@ class _Ingest:
                 self._remember(identity)
         return left
 
-    def take(self, candidate: Candidate, found: Prepared | InputError, record: SetRecord) -> None:
+    def take(
+        self, candidate: PhotographCandidate, found: Prepared | InputError, record: SetRecord
+    ) -> None:
         """Write a vehicle, unless it is bad or there already under another name."""
         identity = self._record(candidate.row)
         if isinstance(found, InputError):
@@ -252,11 +256,11 @@ class _Ingest:
 
 
 def prepare_all(
-    candidates: Sequence[Candidate],
+    candidates: Sequence[PhotographCandidate],
     settings: IngestSettings,
-    remover: BackgroundRemover | None,
+    remover: PhotographMasker | None,
     workers: int,
-) -> Iterator[tuple[Candidate, Prepared | InputError]]:
+) -> Iterator[tuple[PhotographCandidate, Prepared | InputError]]:
     """Every vehicle in order, or why it cannot be taken; at most two a worker are in memory."""
     workers = min(workers, max(len(candidates), 1))
     if workers == 1:  # not by the pool, whose workers have one thread: a background network has all
@@ -265,7 +269,7 @@ def prepare_all(
         return
     left, ended, turn = deque(enumerate(candidates)), dict[int, Prepared | InputError](), 0
 
-    def take() -> tuple[int, Candidate] | None:
+    def take() -> tuple[int, PhotographCandidate] | None:
         return left.popleft() if left and left[0][0] < turn + 2 * workers else None
 
     pool = worker_pool(workers)
@@ -277,12 +281,12 @@ def prepare_all(
 
 
 def _start(
-    _: int, settings: IngestSettings, remover: BackgroundRemover | None
-) -> Callable[[tuple[int, Candidate]], Prepared | InputError]:
+    _: int, settings: IngestSettings, remover: PhotographMasker | None
+) -> Callable[[tuple[int, PhotographCandidate]], Prepared | InputError]:
     if multiprocessing.parent_process() is not None:
         cv2.setNumThreads(1)
 
-    def work(job: tuple[int, Candidate]) -> Prepared | InputError:
+    def work(job: tuple[int, PhotographCandidate]) -> Prepared | InputError:
         try:
             return prepare(job[1], settings, remover)
         except InputError as error:

@@ -91,7 +91,7 @@ def fit(rgb: Image, alpha: NDArray[np.uint8], width: int, height: int) -> Image:
     return fitted
 
 
-class Cutout(Protocol):
+class PhotographCutout(Protocol):
     """What a remover found; `recast.actors.Segmentation` is one."""
 
     @property
@@ -103,10 +103,10 @@ class Cutout(Protocol):
         """What a person should look at."""
 
 
-class BackgroundRemover(Protocol):
+class PhotographMasker(Protocol):
     """Finds the one vehicle in a photograph; see `recast.actors.cutout` for two that do."""
 
-    def remove(self, image: NDArray[np.uint8], category: str) -> Cutout:
+    def remove(self, image: NDArray[np.uint8], category: str) -> PhotographCutout:
         """The mask of the vehicle in a picture (H, W, 3) uint8 RGB.
 
         Raises:
@@ -115,7 +115,7 @@ class BackgroundRemover(Protocol):
 
 
 @dataclass(frozen=True)
-class Candidate:
+class PhotographCandidate:
     """A vehicle to bring in.
 
     Attributes:
@@ -141,7 +141,7 @@ class Prepared:
 
 
 def prepare(
-    candidate: Candidate, settings: IngestSettings, remover: BackgroundRemover | None
+    candidate: PhotographCandidate, settings: IngestSettings, remover: PhotographMasker | None
 ) -> Prepared:
     """Remove backgrounds, bring to size, encode, and compare the views with each other.
 

@@ -35,7 +35,7 @@ _MEND = "correct it; see docs/recar.md#sets"
 
 
 @dataclass(frozen=True)
-class Layout:
+class WalkaroundLayout:
     """A data set of walk-arounds.
 
     Attributes:
@@ -50,10 +50,10 @@ class Layout:
     photographs: int
 
 
-LAYOUTS: Mapping[str, Layout | None] = {
+LAYOUTS: Mapping[str, WalkaroundLayout | None] = {
     "regular": None,
-    "3drealcar": Layout("3DRealCar", 1920, 1440, 200),
-    "mad-cars": Layout("MAD-CARS", 1920, 1080, 85),
+    "3drealcar": WalkaroundLayout("3DRealCar", 1920, 1440, 200),
+    "mad-cars": WalkaroundLayout("MAD-CARS", 1920, 1080, 85),
 }
 """By the word of the command line; None where photographs are regular, see `photographs_of`."""
 EXPERIMENTAL = frozenset({"3drealcar", "mad-cars"})

@@ -20,15 +20,20 @@ from recast.core.errors import InputError
 from recast.core.files import disk_errors
 from recast.core.names import member
 from recast.recar.ingest.folder import AZIMUTH_WITHIN, read_poses
-from recast.recar.ingest.photograph import SUFFIXES, Candidate, natural_order, photograph_size
-from recast.recar.ingest.settings import Layout, VehicleRow
+from recast.recar.ingest.photograph import (
+    SUFFIXES,
+    PhotographCandidate,
+    natural_order,
+    photograph_size,
+)
+from recast.recar.ingest.settings import VehicleRow, WalkaroundLayout
 
 _FLAT = 0.5  # spread of the cameras across their ring, over that along it, at most
 
 
 def pick_photographs(
-    photos: Path, row: VehicleRow, views: int, within_deg: float, layout: Layout
-) -> Candidate:
+    photos: Path, row: VehicleRow, views: int, within_deg: float, layout: WalkaroundLayout
+) -> PhotographCandidate:
     """For each of `views` regular azimuths one photograph that is near.
 
     Of those within `within_deg` it is the one with the least sum of the distances, in degrees, to
@@ -58,7 +63,7 @@ def pick_photographs(
     known, azimuths, elevations = _directions(folder, found, row)
     taken, off = _nearest(folder, azimuths, elevations, views, within_deg)
     photographs = tuple(known[index] for index in taken)
-    return Candidate(
+    return PhotographCandidate(
         row,
         photographs,
         tuple(_mask(folder, path) for path in photographs),
@@ -187,7 +192,11 @@ def _mask(folder: Path, photograph: Path) -> Path | None:
 
 
 def _doubts(
-    photographs: tuple[Path, ...], unknown: int, off: float, elevations: Array, layout: Layout
+    photographs: tuple[Path, ...],
+    unknown: int,
+    off: float,
+    elevations: Array,
+    layout: WalkaroundLayout,
 ) -> tuple[str, ...]:
     doubts = []
     step = 360.0 / len(photographs)

@@ -7,11 +7,11 @@ from recast.recar.perturb.compose import (
     read_perturbations,
     write_perturbations,
 )
-from recast.recar.perturb.kind import Kind
+from recast.recar.perturb.kind import PerturbationKind
 
 __all__ = [
-    "Kind",
     "PerturbationConfig",
+    "PerturbationKind",
     "Perturbed",
     "perturb",
     "read_perturbations",

@@ -14,8 +14,8 @@ from recast.arrays import Image
 from recast.geometry.colour import linear_to_srgb, srgb_to_linear
 from recast.recar.perturb.kind import (
     Floats,
-    Kind,
     ObjectBox,
+    PerturbationKind,
     Positive,
     Positives,
     Share,
@@ -62,7 +62,7 @@ def disc_kernel(radius: float) -> Floats:
     return (disc / disc.sum()).astype(np.float32)
 
 
-class Defocus(Kind):
+class Defocus(PerturbationKind):
     """A lens out of focus, or with a drop of water on it.
 
     Attributes:
@@ -98,7 +98,7 @@ def line_kernel(length: float, angle: float) -> Floats:
     return kernel / kernel.sum()
 
 
-class MotionBlur(Kind):
+class MotionBlur(PerturbationKind):
     """Motion within the exposure: mostly across the picture, as vehicles pass one another.
 
     A vehicle of 4.5 m that passes at 20 m/s during 1/60 s moves by 7 % of its length.
@@ -137,7 +137,7 @@ def resample(rgba: Image, scale: float, enlarger: int) -> Image:
     return straight(np.clip(large, 0, 1))
 
 
-class Resampling(Kind):
+class Resampling(PerturbationKind):
     """Detail lost to few pixels, then enlarged by a drawn filter (linear, cubic or Lanczos).
 
     Attributes:
@@ -171,7 +171,7 @@ def sensor_noise(
     return ((rng.poisson(electrons) - electrons + reading) / full_well).astype(np.float32)
 
 
-class LowLight(Kind):
+class LowLight(PerturbationKind):
     """Dusk and night: less light, shot and read noise in linear light, part of it gained back.
 
     Attributes:
@@ -217,7 +217,7 @@ def koschmieder(light: Floats, transmission: float, airlight: Floats) -> Floats:
     return light * np.float32(transmission) + airlight * np.float32(1 - transmission)
 
 
-class Fog(Kind):
+class Fog(PerturbationKind):
     """Fog or haze, and the veil of a dirty windscreen.
 
     Attributes:
@@ -268,7 +268,7 @@ def quality_between(best: int, worst: int, severity: float) -> int:
     return round(50 * (2 - step) if step <= 1 else 50 / step)
 
 
-class Compression(Kind):
+class Compression(PerturbationKind):
     """JPEG blocks, ringing and bled colours, at the size that vehicles have in logs.
 
     The picture is compressed with a street behind the object, as it was in the log, after the

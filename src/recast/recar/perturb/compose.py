@@ -16,7 +16,14 @@ from recast.core.errors import InputError
 from recast.core.records import Record, read_record
 from recast.logs.images import encode
 from recast.recar.perturb.camera import Compression, Defocus, Fog, LowLight, MotionBlur, Resampling
-from recast.recar.perturb.kind import Kind, Share, find_object, premultiplied, shrinking, straight
+from recast.recar.perturb.kind import (
+    PerturbationKind,
+    Share,
+    find_object,
+    premultiplied,
+    shrinking,
+    straight,
+)
 from recast.recar.perturb.masks import Dilation, Erosion, Holes, Jagged, Leak
 from recast.recar.perturb.occlusion import Border, Cropping, OtherVehicle, Pole
 from recast.recar.views import write_words
@@ -82,10 +89,10 @@ class PerturbationConfig(Record):
     leak: Leak = Leak()
     jagged: Jagged = Jagged()
 
-    def kinds(self) -> tuple[Kind, ...]:
+    def kinds(self) -> tuple[PerturbationKind, ...]:
         """All kinds, switched off ones included, in the order in which they are applied."""
         members = (getattr(self, name) for name in type(self).model_fields)
-        return tuple(member for member in members if isinstance(member, Kind))
+        return tuple(member for member in members if isinstance(member, PerturbationKind))
 
     @model_validator(mode="after")
     def _something_to_draw(self) -> Self:
@@ -155,7 +162,9 @@ def perturb(rgba: Image, config: PerturbationConfig, rng: np.random.Generator) -
     return Perturbed(rgba, ())
 
 
-def draw(config: PerturbationConfig, rng: np.random.Generator) -> tuple[tuple[Kind, float], ...]:
+def draw(
+    config: PerturbationConfig, rng: np.random.Generator
+) -> tuple[tuple[PerturbationKind, float], ...]:
     """Different kinds and their severities, in the order in which a picture comes about."""
     kinds = [kind for kind in config.kinds() if kind.weight > 0]
     weights = np.array([kind.weight for kind in kinds])
@@ -166,7 +175,7 @@ def draw(config: PerturbationConfig, rng: np.random.Generator) -> tuple[tuple[Ki
 
 
 def compose(
-    rgba: Image, drawn: tuple[tuple[Kind, float], ...], rng: np.random.Generator
+    rgba: Image, drawn: tuple[tuple[PerturbationKind, float], ...], rng: np.random.Generator
 ) -> Image | None:
     """Apply kinds one after the other; None where nothing of the object is left."""
     for kind, severity in drawn:

@@ -35,7 +35,7 @@ Shares = Annotated[tuple[Share, Share], AfterValidator(_in_order)]
 Positives = Annotated[tuple[Positive, Positive], AfterValidator(_in_order)]
 
 
-class Kind(Record, ABC):
+class PerturbationKind(Record, ABC):
     """One kind with its figures, as the configuration holds it.
 
     Lengths are shares of the object's extent (the longer side of its box), because the model sees

@@ -11,8 +11,8 @@ from recast.arrays import Image
 from recast.geometry.colour import LUMINANCE, srgb_to_linear
 from recast.recar.perturb.kind import (
     Floats,
-    Kind,
     ObjectBox,
+    PerturbationKind,
     Positive,
     Share,
     Weight,
@@ -27,7 +27,7 @@ from recast.recar.perturb.kind import (
 _LUMINANCE = np.array(LUMINANCE, np.float32)
 
 
-class Erosion(Kind):
+class Erosion(PerturbationKind):
     """An edge that moves inwards, further in some places than in others; mirrors and tyres go.
 
     Attributes:
@@ -50,7 +50,7 @@ class Erosion(Kind):
         return with_alpha(colour, alpha * kept)
 
 
-class Dilation(Kind):
+class Dilation(PerturbationKind):
     """An edge that moves outwards, further in some places than in others.
 
     Attributes:
@@ -72,7 +72,7 @@ class Dilation(Kind):
         return reveal(rgba, np.maximum(alpha, grown), street)
 
 
-class Holes(Kind):
+class Holes(PerturbationKind):
     """Lumps that are missing, the dark parts (glass, tyres, arches) before the others.
 
     Attributes:
@@ -103,7 +103,7 @@ class Holes(Kind):
         return with_alpha(colour, (alpha * kept).astype(np.float32))
 
 
-class Jagged(Kind):
+class Jagged(PerturbationKind):
     """Square steps along the edge; some of the object is lost and some background comes in.
 
     Attributes:
@@ -129,7 +129,7 @@ class Jagged(Kind):
         return reveal(rgba, np.asarray(mask, np.float32), street)
 
 
-class Leak(Kind):
+class Leak(PerturbationKind):
     """Background that counts as object.
 
     Attributes:

@@ -10,8 +10,8 @@ import numpy as np
 from recast.arrays import Image
 from recast.recar.perturb.kind import (
     Floats,
-    Kind,
     ObjectBox,
+    PerturbationKind,
     Positive,
     Positives,
     Share,
@@ -114,7 +114,7 @@ def occlude(rgba: Image, coverage: Floats, colour: Floats, fringe: float) -> Ima
     return with_alpha(seen, alpha * (1 - removed))
 
 
-class Border(Kind):
+class Border(PerturbationKind):
     """Something with a straight or a ragged edge that comes in from a side, mostly from below.
 
     Attributes:
@@ -156,7 +156,7 @@ class Border(Kind):
         return occlude(rgba, coverage, colour, fringe)
 
 
-class Pole(Kind):
+class Pole(PerturbationKind):
     """An upright band from top to bottom, somewhere across the object.
 
     Attributes:
@@ -203,7 +203,7 @@ def _silhouette(
     return canvas.astype(np.float32) / 255
 
 
-class OtherVehicle(Kind):
+class OtherVehicle(PerturbationKind):
     """The silhouette of a vehicle that comes in from the left or the right.
 
     Attributes:
@@ -235,7 +235,7 @@ class OtherVehicle(Kind):
         return occlude(rgba, coverage, paint, fringe)
 
 
-class Cropping(Kind):
+class Cropping(PerturbationKind):
     """A straight cut by the picture's border: left or right, less often below or above.
 
     The picture keeps its size; what is cut off becomes transparent, and `crop_to_object` then

@@ -7,9 +7,9 @@ from recast.recar.screening.service import Catalogue, Entry, Filter
 from recast.recar.targets.decisions import (
     DECISIONS,
     SCREENING_FILE,
-    Change,
     Conflict,
     Decision,
+    DecisionChange,
     Screening,
     ScreeningRecord,
 )
@@ -18,9 +18,9 @@ __all__ = [
     "DECISIONS",
     "SCREENING_FILE",
     "Catalogue",
-    "Change",
     "Conflict",
     "Decision",
+    "DecisionChange",
     "Entry",
     "Filter",
     "Screening",

@@ -18,7 +18,7 @@ from starlette.routing import Route
 
 from recast.core.errors import InputError
 from recast.core.web_server import BodyError, WebServer, json_body
-from recast.recar.screening.service import RefusedError, ScreeningService
+from recast.recar.screening.service import RefusedDecisionError, ScreeningService
 
 CONTENT_POLICY = (
     "default-src 'none'; img-src 'self' data:; connect-src 'self'; style-src 'unsafe-inline'; "
@@ -76,10 +76,10 @@ def screening_app(service: ScreeningService) -> Starlette:
         ],
         middleware=[Middleware(BaseHTTPMiddleware, dispatch=_add_headers)],
         exception_handlers={
-            RefusedError: lambda _, refused: _refusal(refused),
-            BodyError: lambda _, error: _refusal(RefusedError(error.status, str(error))),
+            RefusedDecisionError: lambda _, refused: _refusal(refused),
+            BodyError: lambda _, error: _refusal(RefusedDecisionError(error.status, str(error))),
             InputError: lambda _, error: JSONResponse({"error": str(error)}, 500),
-            HTTPException: lambda _, error: _refusal(RefusedError(404, "no such page")),
+            HTTPException: lambda _, error: _refusal(RefusedDecisionError(404, "no such page")),
         },
     )
     app.router.redirect_slashes = False
@@ -90,7 +90,7 @@ async def _add_headers(request: Request, answer: RequestResponseEndpoint) -> Res
     if request.scope["path"].startswith("/"):
         response = await answer(request)
     else:
-        response = _refusal(RefusedError(400, "address: is not a path"))
+        response = _refusal(RefusedDecisionError(400, "address: is not a path"))
     response.headers.update(_HEADERS)
     return response
 
@@ -102,7 +102,7 @@ async def _body(request: Request) -> dict[str, Any]:
     return body
 
 
-def _refusal(refused: RefusedError) -> Response:
+def _refusal(refused: RefusedDecisionError) -> Response:
     return JSONResponse(refused.answer, refused.status)
 
 

@@ -157,7 +157,7 @@ def _key(entry: Entry, order: Order) -> tuple[float, str]:
     return (entry.score if order == "lowest" else -entry.score), entry.id
 
 
-class RefusedError(ValueError):
+class RefusedDecisionError(ValueError):
     """A request that cannot be answered.
 
     Attributes:
@@ -270,12 +270,12 @@ class ScreeningService:
         """Decide about target `id`; `since` is the revision that the page saw."""
         name, decision, since = body.get("id"), body.get("decision"), _number(body, "since")
         if decision not in DECISIONS:
-            raise RefusedError(400, f"decision: use one of {', '.join(DECISIONS)}")
+            raise RefusedDecisionError(400, f"decision: use one of {', '.join(DECISIONS)}")
         name = self._known(name)
         try:
             self.screening.decide(name, decision, revision=None if since is None else int(since))
         except Conflict as conflict:
-            raise RefusedError(409, str(conflict), self.news(body)) from None
+            raise RefusedDecisionError(409, str(conflict), self.news(body)) from None
         return self.news(body)
 
     def undo(self, body: Mapping[str, Any]) -> dict[str, Any]:
@@ -284,7 +284,7 @@ class ScreeningService:
         try:
             undone = self.screening.undo(revision=None if since is None else int(since))
         except Conflict as conflict:
-            raise RefusedError(409, str(conflict), self.news(body)) from None
+            raise RefusedDecisionError(409, str(conflict), self.news(body)) from None
         return {"undone": None if undone is None else undone.id, **self.news(body)}
 
     def preview(self, name: str) -> bytes:
@@ -292,19 +292,19 @@ class ScreeningService:
         try:
             return self.cache.preview_path(self._known(name)).read_bytes()
         except OSError:
-            raise RefusedError(404, f"no contact sheet of {name}") from None
+            raise RefusedDecisionError(404, f"no contact sheet of {name}") from None
 
     def input_view(self, name: str, side: str) -> bytes:
         """The picture that the model saw from a side, PNG."""
         name = self._known(name)
         if self._pictures is None or side not in SIDES or name not in self._pictures.identities:
-            raise RefusedError(404, f"no {side[:10]} view of {name}")
+            raise RefusedDecisionError(404, f"no {side[:10]} view of {name}")
         return self._pictures.identities[name].encoded(self._views[SIDES.index(side)])
 
     def _known(self, name: Any) -> str:
         # Paths are only made of ids that the catalogue holds.
         if not isinstance(name, str) or name not in self.catalogue:
-            raise RefusedError(404, f"no target {str(name)[:100]!r}")
+            raise RefusedDecisionError(404, f"no target {str(name)[:100]!r}")
         return name
 
     def _item(self, entry: Entry) -> dict[str, Any]:
@@ -325,14 +325,14 @@ def _order(query: Mapping[str, Any]) -> Order:
     for order in ORDERS:
         if query.get("order", "id") == order:
             return order
-    raise RefusedError(400, f"order: use one of {', '.join(ORDERS)}")
+    raise RefusedDecisionError(400, f"order: use one of {', '.join(ORDERS)}")
 
 
 def _filter(query: Mapping[str, Any]) -> Filter:
     for show in SHOWS:
         if query.get("show", "all") == show:
             return Filter(show, _number(query, "lowest"), _number(query, "highest"))
-    raise RefusedError(400, f"show: use one of {', '.join(SHOWS)}")
+    raise RefusedDecisionError(400, f"show: use one of {', '.join(SHOWS)}")
 
 
 def _number(query: Mapping[str, Any], name: str) -> float | None:
@@ -344,5 +344,5 @@ def _number(query: Mapping[str, Any], name: str) -> float | None:
     except (TypeError, ValueError, OverflowError):
         number = math.nan
     if not math.isfinite(number):
-        raise RefusedError(400, f"{name}: is not a number")
+        raise RefusedDecisionError(400, f"{name}: is not a number")
     return number

@@ -8,29 +8,29 @@ from recast.recar.targets.builder import (
 )
 from recast.recar.targets.cache import ChannelStatistics, Target, TargetCache
 from recast.recar.targets.cache_records import (
+    CachedModelRecord,
     CacheRecord,
     FilterRecord,
     FilterSettings,
-    ModelRecord,
     ModelSource,
     TargetRecord,
     TargetSettings,
     identity_seed,
 )
-from recast.recar.targets.quality import Candidate, Quality, QualityScore
+from recast.recar.targets.quality import Quality, QualityScore, TargetCandidate
 
 __all__ = [
     "CacheRecord",
-    "Candidate",
+    "CachedModelRecord",
     "ChannelStatistics",
     "FilterRecord",
     "FilterSettings",
-    "ModelRecord",
     "ModelSource",
     "Quality",
     "QualityScore",
     "Target",
     "TargetCache",
+    "TargetCandidate",
     "TargetRecord",
     "TargetSettings",
     "TargetStatistics",

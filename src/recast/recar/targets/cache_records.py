@@ -85,7 +85,7 @@ def identity_seed(seed: int, identity: str) -> int:
     return int.from_bytes(digest[:8], "big") % 2**31
 
 
-class ModelRecord(Record):
+class CachedModelRecord(Record):
     """The model that made the targets.
 
     Attributes:
@@ -141,7 +141,7 @@ class CacheRecord(Record):
     version: int = CACHE_VERSION
     complete: bool
     vehicle_set: Text
-    model: ModelRecord
+    model: CachedModelRecord
     mode: MultiImageMode = "stochastic"
     views_deg: tuple[Azimuth, Azimuth, Azimuth, Azimuth] = VIEWS_DEG
     structure_sampler: SamplerSettings
@@ -210,7 +210,7 @@ class ModelSource:
             self.folder, device=device or self.device, image_encoder=self.image_encoder
         )
 
-    def record(self) -> ModelRecord:
+    def record(self) -> CachedModelRecord:
         """What the cache says of the model, all its files read for the hash.
 
         Raises:
@@ -219,7 +219,7 @@ class ModelSource:
         pipeline = read_pipeline(self.folder)
         config: Any = model_files(self.folder, pipeline, LATENT_FLOW).meta_model().config
         mean, std = pipeline.slat_statistics
-        return ModelRecord(
+        return CachedModelRecord(
             name=self.folder.absolute().name,
             sha256=file_hash(self._files(pipeline)),
             resolution=int(config.resolution),

@@ -29,7 +29,7 @@ _LOCK_FILE = ".screening.lock"
 _MEND = "restore it from a copy, or remove it to begin the screening again"
 
 
-class Change(Record):
+class DecisionChange(Record):
     """One key press.
 
     Attributes:
@@ -59,7 +59,7 @@ class ScreeningRecord(Record):
     format: Literal["recast-screening"] = "recast-screening"
     version: int = SCREENING_VERSION
     decisions: dict[IdentityName, Decision]
-    history: tuple[Change, ...] = ()
+    history: tuple[DecisionChange, ...] = ()
 
     @model_validator(mode="after")
     def _undone_was_done(self) -> ScreeningRecord:
@@ -67,13 +67,13 @@ class ScreeningRecord(Record):
         return self
 
 
-def standing_changes(history: Iterable[Change]) -> list[Change]:
+def standing_changes(history: Iterable[DecisionChange]) -> list[DecisionChange]:
     """The changes that were not undone, oldest first.
 
     Raises:
         ValueError: more was undone than done.
     """
-    standing: list[Change] = []
+    standing: list[DecisionChange] = []
     for change in history:
         if not change.undo:
             standing.append(change)
@@ -84,7 +84,7 @@ def standing_changes(history: Iterable[Change]) -> list[Change]:
     return standing
 
 
-def change_line(change: Change) -> str:
+def change_line(change: DecisionChange) -> str:
     """A change as one line of JSON."""
     return change.model_dump_json(exclude_defaults=True)
 
@@ -135,9 +135,9 @@ class Screening:
         self._thread = threading.RLock()
         self._file: tuple[int, ...] | None = None
         self._decisions: dict[str, Decision] = {}
-        self._history: list[Change] = []
+        self._history: list[DecisionChange] = []
         self._lines: list[str] = []
-        self._standing: list[Change] = []
+        self._standing: list[DecisionChange] = []
         self.refresh()
 
     def refresh(self) -> None:
@@ -170,7 +170,7 @@ class Screening:
         """The decision about one target; None where there is none."""
         return self._decisions.get(name)
 
-    def changes(self, since: int) -> list[Change]:
+    def changes(self, since: int) -> list[DecisionChange]:
         """The changes after revision `since`."""
         return self._history[max(since, 0) :]
 
@@ -197,9 +197,9 @@ class Screening:
                 return
             if revision is not None and any(c.id == name for c in self.changes(revision)):
                 raise Conflict(name)
-            self._append(Change(id=name, before=before, after=decision, time=_now()))
+            self._append(DecisionChange(id=name, before=before, after=decision, time=_now()))
 
-    def undo(self, *, revision: int | None = None) -> Change | None:
+    def undo(self, *, revision: int | None = None) -> DecisionChange | None:
         """Take back the last change that was not taken back yet, of this or an earlier session.
 
         Args:
@@ -219,7 +219,9 @@ class Screening:
                 raise Conflict(missed[-1].id)
             last = self._standing[-1]
             now = self._decisions.get(last.id)
-            self._append(Change(id=last.id, before=now, after=last.before, time=_now(), undo=True))
+            self._append(
+                DecisionChange(id=last.id, before=now, after=last.before, time=_now(), undo=True)
+            )
             return last
 
     def _check_known(self, name: str) -> None:
@@ -230,7 +232,7 @@ class Screening:
                 self.folder, "target", f"{name[:100]!r} is not in the cache", "check the id"
             )
 
-    def _append(self, change: Change) -> None:
+    def _append(self, change: DecisionChange) -> None:
         decisions = dict(self._decisions)
         if change.after is None:
             decisions.pop(change.id, None)

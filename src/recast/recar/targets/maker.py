@@ -24,9 +24,9 @@ from recast.recar.targets.cache_records import (
 from recast.recar.targets.quality import (
     AestheticScore,
     AgreementScore,
-    Candidate,
     Quality,
     QualityScore,
+    TargetCandidate,
     weight_hashes,
 )
 from recast.recar.targets.views import (
@@ -69,7 +69,7 @@ class VehicleTask:
 
 
 @dataclass(frozen=True)
-class Outcome:
+class TargetOutcome:
     """What became of a task; `target` and `preview` are None where it failed."""
 
     record: TargetRecord
@@ -98,19 +98,19 @@ class TargetMaker:
         """
         return cls(source.load(device), settings, open_score(settings.filter))
 
-    def make(self, task: VehicleTask) -> Outcome:
+    def make(self, task: VehicleTask) -> TargetOutcome:
         """The target of a vehicle, judged, with its contact sheet; or why there is none."""
         seed = identity_seed(self._settings.seed, task.id)
         blank = TargetRecord(
             id=task.id, split=task.split, kind=task.kind, colour=task.colour, seed=seed
         )
         if task.failure is not None:
-            return Outcome(blank.model_copy(update={"failure": task.failure}))
+            return TargetOutcome(blank.model_copy(update={"failure": task.failure}))
         try:
             pictures = _pictures(task.views)
             made = self._generate(pictures, seed, task.id)
         except InputError as error:
-            return Outcome(blank.model_copy(update={"failure": error.problem}))
+            return TargetOutcome(blank.model_copy(update={"failure": error.problem}))
         target = Target(
             made.structure.float().numpy(),
             made.coords.numpy().astype(np.int32),
@@ -120,10 +120,10 @@ class TargetMaker:
         heading = None
         if self._settings.heading == "any":
             heading = find_heading(made.gaussians, pictures, viewpoints)
-        one = Candidate(target, made.gaussians, pictures, viewpoints, heading or 0.0)
+        one = TargetCandidate(target, made.gaussians, pictures, viewpoints, heading or 0.0)
         quality = None if self._score is None else self._score(one)
         record = _record(blank.model_copy(update={"heading_deg": heading}), made, quality)
-        return Outcome(record, target, contact_sheet(one))
+        return TargetOutcome(record, target, contact_sheet(one))
 
     def _generate(self, pictures: Sequence[Image], seed: int, name: str) -> GeneratedVehicle:
         settings = self._settings
@@ -177,7 +177,7 @@ def _record(blank: TargetRecord, made: GeneratedVehicle, quality: Quality | None
 
 def start_maker(
     number: int, source: ModelSource, settings: TargetSettings
-) -> Callable[[VehicleTask], Outcome]:
+) -> Callable[[VehicleTask], TargetOutcome]:
     """What worker `number` makes targets with; CUDA devices go round where none is named."""
     device = source.device
     if device is None and torch.cuda.is_available():
@@ -202,7 +202,7 @@ def absolute(source: ModelSource, settings: TargetSettings) -> tuple[ModelSource
     )
 
 
-def contact_sheet(candidate: Candidate) -> bytes:
+def contact_sheet(candidate: TargetCandidate) -> bytes:
     """PNG of 4 x 3 tiles: the four pictures, the target from there, and 45 degrees further on.
 
     The columns go around the vehicle: front, left, rear, right. A target whose heading is not

@@ -24,7 +24,7 @@ from recast.pretrained import ClipImages
 from recast.recar.targets.cache import Target
 from recast.recar.targets.cache_records import file_hash
 from recast.recar.targets.views import (
-    Cutout,
+    TargetCutout,
     Viewpoint,
     closeness,
     framed,
@@ -64,7 +64,7 @@ Embedding = Callable[[list[PilImage.Image]], Tensor]
 
 
 @dataclass(frozen=True)
-class Candidate:
+class TargetCandidate:
     """A target to judge.
 
     Attributes:
@@ -109,7 +109,7 @@ class QualityScore(Protocol):
     name: str
     threshold: float
 
-    def __call__(self, candidate: Candidate) -> Quality:
+    def __call__(self, candidate: TargetCandidate) -> Quality:
         """Judge a target; the same target gets the same score."""
         ...
 
@@ -129,16 +129,16 @@ class AgreementScore:
     - solid: area of the silhouettes over that with their holes filled;
     - sharpness: mean gradient of the renders over that of the pictures, at most 1.
 
-    The target is judged as it looks along `Candidate.heading_deg`. `flipped` is the same with front
-    and rear exchanged: one that is higher tells of a vehicle that came out so. This is no measure
-    of beauty and not comparable to the published predictor; the threshold is relative, a cut
-    through the scores of one model.
+    The target is judged as it looks along `TargetCandidate.heading_deg`. `flipped` is the same with
+    front and rear exchanged: one that is higher tells of a vehicle that came out so. This is no
+    measure of beauty and not comparable to the published predictor; the threshold is relative, a
+    cut through the scores of one model.
     """
 
     name = "view-agreement"
     threshold = 0.6
 
-    def __call__(self, candidate: Candidate) -> Quality:
+    def __call__(self, candidate: TargetCandidate) -> Quality:
         """See the class."""
         pictures = [framed(of_picture(picture), PIXELS) for picture in candidate.pictures]
         parts = {
@@ -151,7 +151,7 @@ class AgreementScore:
         return Quality(_mean(own), _mean(exchanged), shown)
 
 
-def _renders(candidate: Candidate, turn_deg: float) -> list[Cutout]:
+def _renders(candidate: TargetCandidate, turn_deg: float) -> list[TargetCutout]:
     made = []
     for view in candidate.viewpoints:
         seen_from = turned(view, candidate.heading_deg + turn_deg)
@@ -166,7 +166,9 @@ def _mean(parts: dict[str, float]) -> float:
     return round(float(np.exp(np.sum(logs))), 6)
 
 
-def _agreement(pictures: Sequence[Cutout], renders: Sequence[Cutout]) -> dict[str, float]:
+def _agreement(
+    pictures: Sequence[TargetCutout], renders: Sequence[TargetCutout]
+) -> dict[str, float]:
     pairs = list(zip(pictures, renders, strict=True))
     overlap = float(np.mean([iou(first.mask, second.mask) for first, second in pairs]))
     return {
@@ -182,12 +184,12 @@ def _solidity(mask: Mask) -> float:
     return float(np.count_nonzero(mask) / filled) if filled else 0.0
 
 
-def _sharpness(picture: Cutout, shown: Cutout) -> float:
+def _sharpness(picture: TargetCutout, shown: TargetCutout) -> float:
     wanted, found = _gradient(picture), _gradient(shown)
     return min(1.0, found / wanted) if wanted > 0 else 1.0
 
 
-def _gradient(cutout: Cutout) -> float:
+def _gradient(cutout: TargetCutout) -> float:
     """Mean length of the grey values' gradient inside the silhouette, its border left out."""
     inside = ndimage.binary_erosion(cutout.mask, iterations=2)
     if not inside.any():
@@ -260,7 +262,7 @@ class AestheticScore:
         """
         return cls(load_clip_embedding(clip, WIDTHS[0]), load_predictor(predictor))
 
-    def __call__(self, candidate: Candidate) -> Quality:
+    def __call__(self, candidate: TargetCandidate) -> Quality:
         """See the class."""
         scores = self.scores(aesthetic_renders(candidate.gaussians))
         parts = {f"view_{int(a)}": s for a, s in zip(AZIMUTHS_DEG, scores, strict=True)}

@@ -123,7 +123,7 @@ def encoded_view(identity: IdentitySource, index: int) -> EncodedView:
 
 
 @dataclass(frozen=True)
-class Cutout:
+class TargetCutout:
     """A square picture of a vehicle.
 
     Attributes:
@@ -151,7 +151,7 @@ def iou(first: NDArray[np.bool_], second: NDArray[np.bool_]) -> float:
     return float(np.count_nonzero(first & second) / union) if union else 0.0
 
 
-def closeness(first: Cutout, second: Cutout) -> float:
+def closeness(first: TargetCutout, second: TargetCutout) -> float:
     """PSNR in dB of the colours where either shows the vehicle, from 5 to 25 dB as 0 to 1."""
     seen = first.mask | second.mask
     if not seen.any():
@@ -161,7 +161,7 @@ def closeness(first: Cutout, second: Cutout) -> float:
     return float(np.clip((-10.0 * np.log10(max(error, 1e-6)) - low) / (high - low), 0, 1))
 
 
-def render(gaussians: Gaussians, viewpoint: Viewpoint, pixels: int) -> Cutout:
+def render(gaussians: Gaussians, viewpoint: Viewpoint, pixels: int) -> TargetCutout:
     """A square render of an asset in the unit cube, z up, with the published renderer's filter.
 
     It is about the origin; azimuths are from +x; `pixels` is the side of the picture.
@@ -178,30 +178,30 @@ def render(gaussians: Gaussians, viewpoint: Viewpoint, pixels: int) -> Cutout:
             eps2d=MIP.variance,
             antialiased=MIP.antialiased,
         )
-    return Cutout(made.rgb.clamp(0, 1).numpy(), made.alpha.clamp(0, 1).numpy())
+    return TargetCutout(made.rgb.clamp(0, 1).numpy(), made.alpha.clamp(0, 1).numpy())
 
 
-def of_picture(rgba: Image) -> Cutout:
+def of_picture(rgba: Image) -> TargetCutout:
     """A picture (H, W, 4) with straight alpha, made square by transparent borders."""
     height, width = rgba.shape[:2]
     side = max(height, width)
     top, left = (side - height) // 2, (side - width) // 2
     values = np.zeros((side, side, 4), np.float32)
     values[top : top + height, left : left + width] = rgba.astype(np.float32) / 255
-    return Cutout(values[..., :3] * values[..., 3:], values[..., 3])
+    return TargetCutout(values[..., :3] * values[..., 3:], values[..., 3])
 
 
-def resized(cutout: Cutout, pixels: int) -> Cutout:
+def resized(cutout: TargetCutout, pixels: int) -> TargetCutout:
     """The whole of a square picture at another size."""
     if len(cutout.alpha) == pixels:
         return cutout
     method = cv2.INTER_AREA if len(cutout.alpha) > pixels else cv2.INTER_LINEAR
     values: Any = np.dstack([cutout.rgb, cutout.alpha])
     values = cv2.resize(values, (pixels, pixels), interpolation=method)
-    return Cutout(np.ascontiguousarray(values[..., :3]), np.ascontiguousarray(values[..., 3]))
+    return TargetCutout(np.ascontiguousarray(values[..., :3]), np.ascontiguousarray(values[..., 3]))
 
 
-def framed(cutout: Cutout, pixels: int) -> Cutout:
+def framed(cutout: TargetCutout, pixels: int) -> TargetCutout:
     """The square around the vehicle at a scale of its own, so that size and place do not matter.
 
     Args:
@@ -210,7 +210,7 @@ def framed(cutout: Cutout, pixels: int) -> Cutout:
     """
     rows, columns = np.nonzero(cutout.mask)
     if len(rows) == 0:
-        return Cutout(
+        return TargetCutout(
             np.zeros((pixels, pixels, 3), np.float32), np.zeros((pixels,) * 2, np.float32)
         )
     extent = max(np.ptp(rows), np.ptp(columns)) + 1
@@ -226,7 +226,7 @@ def framed(cutout: Cutout, pixels: int) -> Cutout:
         [[scale, 0, shift[0] + 0.5 * scale - 0.5], [0, scale, shift[1] + 0.5 * scale - 0.5]]
     )
     values = cv2.warpAffine(values, affine, (pixels, pixels), flags=cv2.INTER_LINEAR)
-    return Cutout(np.ascontiguousarray(values[..., :3]), np.ascontiguousarray(values[..., 3]))
+    return TargetCutout(np.ascontiguousarray(values[..., :3]), np.ascontiguousarray(values[..., 3]))
 
 
 def find_heading(
@@ -247,7 +247,7 @@ def find_heading(
     wanted = [framed(of_picture(picture), _PIXELS) for picture in pictures]
 
     @cache  # views a quarter apart see the same pictures, one after the other
-    def shown(viewpoint: Viewpoint) -> Cutout:
+    def shown(viewpoint: Viewpoint) -> TargetCutout:
         return framed(render(gaussians, viewpoint, 2 * _PIXELS), _PIXELS)
 
     def agreement(heading: float) -> float:

@@ -169,7 +169,7 @@ def balanced_parts(loads: Sequence[int], parts: int) -> list[list[int]]:
 
 
 @dataclass(frozen=True)
-class View:
+class ConditionView:
     """One picture of one identity."""
 
     identity: str
@@ -198,9 +198,9 @@ class ConditionTokens:
     frozen: bool = True
     kept_bytes: int = 0
     used_bytes: int = field(default=0, init=False)
-    _kept: dict[View, Tensor] = field(default_factory=dict, init=False, repr=False)
+    _kept: dict[ConditionView, Tensor] = field(default_factory=dict, init=False, repr=False)
 
-    def crop(self, view: View, alter: Perturb | None, rng: np.random.Generator) -> Image:
+    def crop(self, view: ConditionView, alter: Perturb | None, rng: np.random.Generator) -> Image:
         """The square crop (S, S, 3) on black that the encoder sees, altered first if asked.
 
         Raises:
@@ -214,7 +214,7 @@ class ConditionTokens:
 
     def of(
         self,
-        views: Sequence[View],
+        views: Sequence[ConditionView],
         alters: Sequence[Perturb | None],
         rng: np.random.Generator,
     ) -> Tensor:
@@ -226,7 +226,7 @@ class ConditionTokens:
         crops = [self.crop(v, a, rng) for v, a in zip(views, alters, strict=True)]
         return self.encoder.encode(images_from_crops(crops).to(self.device))
 
-    def _one(self, view: View, alter: Perturb | None, rng: np.random.Generator) -> Tensor:
+    def _one(self, view: ConditionView, alter: Perturb | None, rng: np.random.Generator) -> Tensor:
         if alter is None and view in self._kept:
             return self._kept[view]
         images = images_from_crops([self.crop(view, alter, rng)]).to(self.device)

@@ -15,8 +15,8 @@ from recast.core.errors import InputError
 from recast.recar.targets import Target, TargetCache
 from recast.recar.training.conditions import (
     ConditionTokens,
+    ConditionView,
     Perturb,
-    View,
     balanced_parts,
     draw_identities,
 )
@@ -196,7 +196,7 @@ class FlowTask:
                 data.velocity, data.x0, cond, t.to(device), noise.to(device), data.batch
             )
 
-    def _part(self, random: StepRandom) -> tuple[list[View], list[Target]]:
+    def _part(self, random: StepRandom) -> tuple[list[ConditionView], list[Target]]:
         """Views and targets of this part of the step's batch."""
         rng = random.whole()
         batch = draw_identities(self.identities, self.objective.batch, rng)
@@ -204,7 +204,7 @@ class FlowTask:
         loads = [self.flow.load(self.targets.records[one].voxels) for one in batch]
         mine = balanced_parts(loads, random.parts)[random.part]
         targets = [self.targets.target(batch[i]) for i in mine]
-        return [View(batch[i], numbers[i]) for i in mine], targets
+        return [ConditionView(batch[i], numbers[i]) for i in mine], targets
 
 
 def autocast(device: torch.device, dtype: str | None) -> contextlib.AbstractContextManager[object]:
@@ -231,7 +231,9 @@ class ConditionGap:
         self._task = task
         self._tokens = tokens
         self._targets = [task.targets.target(one) for one in identities]
-        self._views = [View(one, int(rng.integers(tokens.source.count(one)))) for one in identities]
+        self._views = [
+            ConditionView(one, int(rng.integers(tokens.source.count(one)))) for one in identities
+        ]
 
     @torch.no_grad()
     def __call__(self) -> dict[str, float]:

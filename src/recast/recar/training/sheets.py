@@ -17,7 +17,7 @@ from recast.core.files import write_bytes
 from recast.geometry import se3
 from recast.logs.images import encode
 from recast.recar.targets import TargetCache
-from recast.recar.training.conditions import ConditionTokens, View
+from recast.recar.training.conditions import ConditionTokens, ConditionView
 from recast.recar.views import (
     ELEVATION_DEG,
     FOV_DEG,
@@ -40,7 +40,7 @@ _SEED = 20_260
 
 
 @dataclass(frozen=True)
-class SheetRow:
+class ProgressRow:
     """A held-out vehicle: `crop` (S, S, 3) for the encoder, picture, what the target decodes to."""
 
     name: str
@@ -49,7 +49,7 @@ class SheetRow:
     truth: Gaussians
 
 
-def sample_sheet(model: ImageTo3D, rows: Sequence[SheetRow], seed: int) -> Image:
+def sample_sheet(model: ImageTo3D, rows: Sequence[ProgressRow], seed: int) -> Image:
     """(H, W, 3) uint8; a row for every vehicle: input, three sides as sampled, and the target's.
 
     A vehicle whose structure is empty or too large shows as such. The model's networks may be in
@@ -141,15 +141,15 @@ class StageSheets:
         path = self._stem.with_name(f"{self._stem.name}-{state.step:07d}.png")
         write_bytes(path, encode(sheet))
 
-    def _row(self, identity: str, rng: np.random.Generator) -> SheetRow:
+    def _row(self, identity: str, rng: np.random.Generator) -> ProgressRow:
         source = self._tokens.source
-        view = View(identity, int(rng.integers(source.count(identity))))
+        view = ConditionView(identity, int(rng.integers(source.count(identity))))
         target, device = self._targets.target(identity), self._model.device
         latent = SparseTensor.stack(
             [torch.from_numpy(target.coords).to(device)],
             [torch.from_numpy(target.latent).to(device)],
         )
-        return SheetRow(
+        return ProgressRow(
             identity,
             self._tokens.crop(view, None, rng),
             source.picture(identity, view.index),

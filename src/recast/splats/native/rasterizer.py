@@ -14,7 +14,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from recast.kernel import Gradients, Part, View, find, library
+from recast.kernel import Gradients, KernelPart, KernelView, find, library
 from recast.splats.gaussians import Gaussians
 from recast.splats.low_pass import LowPass
 from recast.splats.rasterization import (
@@ -116,7 +116,7 @@ def rasterize_tables(
     """Render frozen parts, each through its filter, with its `camera_from_part` (4, 4)."""
     images = _images(settings)
     view = _view(settings, background, images)
-    given = (Part * len(parts))()
+    given = (KernelPart * len(parts))()
     for part, (tables, low_pass, pose) in zip(given, parts, strict=True):
         part.blocks, part.sh_bases = len(tables.bounds), tables.colours.shape[1] // 3
         part.geometry, part.colours = tables.geometry.data_ptr(), tables.colours.data_ptr()
@@ -142,10 +142,10 @@ def _rigid(pose: Tensor) -> tuple[ctypes.Array[ctypes.c_float], ctypes.Array[cty
 
 def _view(
     settings: RasterSettings, background: Tensor | None, images: tuple[Tensor, Tensor, Tensor]
-) -> View:
+) -> KernelView:
     rgb, depth, alpha = images
     left, top, right, bottom = settings.drawn
-    return View(
+    return KernelView(
         width=right - left,
         height=bottom - top,
         left=left,

@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike, NDArray
 from PIL import Image as PilImage
 
 from recast.actors import Asset, Observation
-from recast.actors.icp import Surface, bounds
+from recast.actors.icp import FitSurface, bounds
 from recast.actors.place import place_asset, stood_up
 from recast.arrays import Array, Image
 from recast.core.errors import InputError
@@ -40,7 +40,7 @@ _MEMBERS = ("key", "id", "failure", "facts", "views", "scores")
 
 
 @dataclass(frozen=True)
-class Cell:
+class StudyCell:
     """One vehicle.
 
     Attributes:
@@ -61,7 +61,7 @@ class Cell:
     failure: str | None = None
 
 
-def write_cell(folder: Path, cell: Cell, pictures: Mapping[str, Image]) -> None:
+def write_cell(folder: Path, cell: StudyCell, pictures: Mapping[str, Image]) -> None:
     """Write a cell in place of what was there, whole or not at all.
 
     Args:
@@ -90,7 +90,7 @@ def cell_is(folder: Path, key: str) -> bool:
     return isinstance(record, dict) and record.get("key") == key
 
 
-def read_cell(folder: Path) -> Cell:
+def read_cell(folder: Path) -> StudyCell:
     """Read what `write_cell` wrote; InputError if it is missing or broken."""
     record = read_json(folder / _CELL)
     mend = "delete it and run again"
@@ -99,7 +99,7 @@ def read_cell(folder: Path) -> Cell:
         plain |= {name: tuple(plain[name]) for name in ("views", "scores")}
     except (KeyError, TypeError) as error:
         raise InputError(folder, "cell", f"cannot be read ({error})", mend) from None
-    return Cell(**plain, features=read_npz(folder / _FEATURES, mend))
+    return StudyCell(**plain, features=read_npz(folder / _FEATURES, mend))
 
 
 def read_strip(folder: Path, name: str = "strip") -> Image:
@@ -157,7 +157,7 @@ def place_canonical(asset: Asset, size: ArrayLike) -> tuple[Gaussians, dict[str,
     return gaussians.transformed(torch.from_numpy(matrix), scale), facts
 
 
-def _outline(gaussians: Gaussians, surface: Surface) -> tuple[Array, Array]:
+def _outline(gaussians: Gaussians, surface: FitSurface) -> tuple[Array, Array]:
     """Lower and upper corner (3,) of where outer Gaussians alone cover half; strays left out.
 
     A Gaussian of opacity o covers half at sqrt(2 ln(o / 0.5)) deviations.

@@ -18,12 +18,12 @@ from recast.arrays import Image
 from recast.core.errors import InputError
 from recast.core.ray_cluster import worker_pool
 from recast.core.workers import in_this_process
-from recast.metrics.actor_scores import Cutout, drawn, framed, photographed, score_view
+from recast.metrics.actor_scores import ScoredCutout, drawn, framed, photographed, score_view
 from recast.metrics.cases import ActorCase, ActorView, elevation_deg
 from recast.metrics.features import Embedder, load_embedders
 from recast.metrics.perceptual import ImageDistance, load_distances
 from recast.recar.perturb import PerturbationConfig, perturb
-from recast.studies.generation.cell import Cell, Features, Placement, place, write_cell
+from recast.studies.generation.cell import Features, Placement, StudyCell, place, write_cell
 from recast.studies.generation.rows import VIEWS, StudyModel, read_views, vehicle_file
 from recast.studies.sheets import strip, tile, tile_window
 
@@ -51,7 +51,7 @@ class CellTask:
     """What is to be made of one vehicle.
 
     Attributes:
-        key, folder: key and folder of the cell, see `Cell`.
+        key, folder: key and folder of the cell, see `StudyCell`.
         model: what makes it; None for the photographs.
         perturbed: what the input is put through; None for a clean one. Of the photographs' task:
             with what the perturbed input is shown.
@@ -129,7 +129,9 @@ class CellMaker:
         }
         features = self._features(truths, truths)
         views = tuple(view.name for view in case.targets)
-        write_cell(task.folder, Cell(task.key, case.id, facts, views, features=features), pictures)
+        write_cell(
+            task.folder, StudyCell(task.key, case.id, facts, views, features=features), pictures
+        )
         return {"measure": time.perf_counter() - start}
 
     def _pictured(self, task: CellTask, model: StudyModel) -> dict[str, float]:
@@ -145,7 +147,7 @@ class CellMaker:
         return {"measure": time.perf_counter() - start}
 
     def _failed(self, task: CellTask, error: InputError, start: float) -> dict[str, float]:
-        write_cell(task.folder, Cell(task.key, task.case.id, {}, failure=str(error)), {})
+        write_cell(task.folder, StudyCell(task.key, task.case.id, {}, failure=str(error)), {})
         return {"generate": time.perf_counter() - start}
 
     def _generated(self, task: CellTask, model: StudyModel) -> dict[str, float]:
@@ -178,7 +180,7 @@ class CellMaker:
             "measure": time.perf_counter() - placed,
         }
 
-    def _write(self, task: CellTask, facts: dict[str, Any], shown: Sequence[Cutout]) -> None:
+    def _write(self, task: CellTask, facts: dict[str, Any], shown: Sequence[ScoredCutout]) -> None:
         """Compare a vehicle's views with the photographs, and write its cell."""
         targets = task.case.targets
         truths = [photographed(view.load()) for view in targets]
@@ -188,10 +190,12 @@ class CellMaker:
         ]
         views = tuple(view.name for view in targets)
         features = self._features(shown, truths)
-        cell = Cell(task.key, task.case.id, facts, views, tuple(scores), features)
+        cell = StudyCell(task.key, task.case.id, facts, views, tuple(scores), features)
         write_cell(task.folder, cell, {"strip": _strip(shown, truths)})
 
-    def _features(self, shown: Sequence[Cutout], truths: Sequence[Cutout]) -> dict[str, Features]:
+    def _features(
+        self, shown: Sequence[ScoredCutout], truths: Sequence[ScoredCutout]
+    ) -> dict[str, Features]:
         """Of every view, seen in the square around the photographed vehicle."""
         squares = [one.within(framed(truth.mask)) for one, truth in zip(shown, truths, strict=True)]
         return {
@@ -226,7 +230,7 @@ def case_observation(case: ActorCase, view: ActorView, rgba: Image | None = None
     )
 
 
-def _strip(shown: Sequence[Cutout], truths: Sequence[Cutout]) -> Image:
+def _strip(shown: Sequence[ScoredCutout], truths: Sequence[ScoredCutout]) -> Image:
     return strip(shown, [tile_window(truth.mask) for truth in truths])
 
 

@@ -17,7 +17,7 @@ from recast.core.files import atomic_file, read_json, write_json, write_text
 from recast.core.progress import Progress
 from recast.metrics.cases import ActorCase
 from recast.metrics.table import rounded
-from recast.studies.generation.cell import Cell, cell_is, read_cell, read_strip
+from recast.studies.generation.cell import StudyCell, cell_is, read_cell, read_strip
 from recast.studies.generation.maker import CellTask, make_cells
 from recast.studies.generation.plan import (
     StudySettings,
@@ -186,7 +186,7 @@ def _summaries(
     return tuple(blocks)
 
 
-def _check_some_made(cells: Mapping[str, Sequence[Cell]]) -> None:
+def _check_some_made(cells: Mapping[str, Sequence[StudyCell]]) -> None:
     for name, mine in cells.items():
         if all(cell.failure is not None for cell in mine):
             raise InputError(

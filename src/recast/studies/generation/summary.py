@@ -12,7 +12,7 @@ from recast.metrics.actor_scores import ACTOR_COLUMNS, ActorColumn, mean_scores
 from recast.metrics.features import FEATURE_KINDS
 from recast.metrics.frechet import frechet_distance
 from recast.metrics.pairs import SAMPLES, Bootstrap, cluster_bootstrap
-from recast.studies.generation.cell import Cell
+from recast.studies.generation.cell import StudyCell
 
 STUDY_COLUMNS: Mapping[str, ActorColumn] = {
     **ACTOR_COLUMNS,
@@ -87,8 +87,8 @@ class StudyBlock:
 
 def summarize(
     condition: str,
-    cells: Mapping[str, Sequence[Cell]],
-    truth: Mapping[str, Cell],
+    cells: Mapping[str, Sequence[StudyCell]],
+    truth: Mapping[str, StudyCell],
     *,
     seed: int = 0,
     samples: int = SAMPLES,
@@ -143,7 +143,7 @@ def summarize(
     )
 
 
-def view_scores(cell: Cell, truth: Cell) -> list[dict[str, float]]:
+def view_scores(cell: StudyCell, truth: StudyCell) -> list[dict[str, float]]:
     """Of every view, the scores that a cell holds and those by features."""
     found = [dict(scores) for scores in cell.scores]
     for name, features in cell.features.items():
@@ -155,7 +155,7 @@ def view_scores(cell: Cell, truth: Cell) -> list[dict[str, float]]:
     return found
 
 
-def _frechet(cells: Sequence[Cell], truth: Sequence[Cell]) -> dict[str, float]:
+def _frechet(cells: Sequence[StudyCell], truth: Sequence[StudyCell]) -> dict[str, float]:
     """Distances between all pictures of a model and all photographs, where there are two."""
     found: dict[str, float] = {}
     for name in cells[0].features:

@@ -52,7 +52,7 @@ from recast.studies.scene_level.worker import (
     LevelWorker,
     measured,
 )
-from recast.studies.scene_run import Outcome, Task
+from recast.studies.scene_run import GridTask, SceneOutcome
 from recast.studies.worker import Workers
 
 MOST_ROWS = 8
@@ -93,7 +93,7 @@ def run_scene_level(
         settings = settings.absolute()
     tasks = LevelTasks(settings)
 
-    def done(task: Task, outcome: Outcome) -> None:
+    def done(task: GridTask, outcome: SceneOutcome) -> None:
         tasks.note(task, outcome)
         bar(tasks.done, tasks.total)
 

@@ -10,17 +10,17 @@ from recast.core.remote import Fetch
 from recast.metrics.scene_level.scores import Networks
 from recast.studies.scene_level.request import LevelSettings
 from recast.studies.scene_level.scene import FEATURES, REFERENCES, REPLAY, LevelScene
-from recast.studies.scene_run import Outcome, RolloutTimes, SceneRun, Task
+from recast.studies.scene_run import GridTask, RolloutTimes, SceneOutcome, SceneRun
 from recast.studies.worker import BenchWorker
 
 
 @dataclass(frozen=True)
-class DriveTask(Task):
+class DriveTask(GridTask):
     """From nothing to a scene's streets, vehicles, drives, and the images that count."""
 
 
 @dataclass(frozen=True)
-class MeasureTask(Task):
+class MeasureTask(GridTask):
     """Features of an arm's images, of the logged ones, or of the control's."""
 
     what: str = ""
@@ -37,16 +37,16 @@ class LevelTasks:
     def __init__(self, settings: LevelSettings) -> None:
         self._settings = settings
         grid = settings.grid
-        self._ready: deque[Task] = deque(DriveTask(scene) for scene in grid.scenes)
+        self._ready: deque[GridTask] = deque(DriveTask(scene) for scene in grid.scenes)
         self.used: dict[str, dict[str, str]] = {scene.id: {} for scene in grid.scenes}
         self.failures: dict[tuple[str, str], str] = {}
         self.done, self.total = 0, len(grid.scenes) * (1 + len(measured(settings)))
 
-    def take(self) -> Task | None:
+    def take(self) -> GridTask | None:
         """The next task, or None where there is none now."""
         return self._ready.popleft() if self._ready else None
 
-    def note(self, task: Task, outcome: Outcome) -> None:
+    def note(self, task: GridTask, outcome: SceneOutcome) -> None:
         """A task is done: what it makes possible becomes ready."""
         names = measured(self._settings)
         self.done += 1
@@ -60,7 +60,7 @@ class LevelTasks:
             what = task.what if isinstance(task, MeasureTask) else ""
             self.failures[task.scene.id, what] = f"{outcome.error}: {outcome.reason}"
 
-    def needed(self, task: Task) -> tuple[str, ...]:
+    def needed(self, task: GridTask) -> tuple[str, ...]:
         """References of what the scene of a task has so far, but for features."""
         used = self.used[task.scene.id]
         return tuple(dict.fromkeys(v for use, v in used.items() if not _is_features(use)))
@@ -82,7 +82,7 @@ class LevelWorker(BenchWorker):
         self._loaded: Networks | None = None
         self._opened: tuple[SceneRun, LevelScene] | None = None
 
-    def _do(self, task: Task, run: SceneRun) -> RolloutTimes | None:
+    def _do(self, task: GridTask, run: SceneRun) -> RolloutTimes | None:
         if self._opened is None or self._opened[0] is not run:
             self._opened = run, LevelScene(run, self._level, self._networks)
         scene = self._opened[1]
@@ -94,7 +94,7 @@ class LevelWorker(BenchWorker):
             scene.prepare()
         return None
 
-    def _is_new(self, task: Task, artefact: Artefact) -> bool:
+    def _is_new(self, task: GridTask, artefact: Artefact) -> bool:
         return True
 
     def _networks(self) -> Networks:

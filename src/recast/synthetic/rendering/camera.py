@@ -66,7 +66,7 @@ class CameraFrame:
         )
 
 
-class Film:
+class LightSums:
     """Sums of the light of each pixel's rays.
 
     Args:
@@ -143,7 +143,7 @@ def trace_image(
     """The image of what is seen of a scene; arguments as of `render_camera`, checked."""
     height, width = camera.height, camera.width
     pixel_angle = 1 / np.sqrt(camera.fx * camera.fy)
-    film = Film(light, exposure, height * width, transparent=not seen.street)
+    film = LightSums(light, exposure, height * width, transparent=not seen.street)
 
     grid = camera.pixel_grid().reshape(-1, 2)
     origins, directions, stretch = camera_rays(camera, world_from_camera, grid)

@@ -21,7 +21,7 @@ import numpy as np
 from recast.core.errors import InputError
 from recast.geometry import se3
 from recast.synthetic.rendering.ray_scene import STREET, PosedScene
-from recast.synthetic.rendering.rays import Float32Array, Mesh, cosine_directions, rows
+from recast.synthetic.rendering.rays import Float32Array, RayMesh, cosine_directions, rows
 from recast.synthetic.rendering.sky import SkyLight
 from recast.synthetic.rendering.surface_points import SurfacePoints
 from recast.synthetic.surface import Surface
@@ -50,7 +50,7 @@ BOUNCES = 4
 """Segments of a path, the one from the point included."""
 _MAP_ROWS = 256
 
-_streets: WeakKeyDictionary[Mesh, Any] = WeakKeyDictionary()
+_streets: WeakKeyDictionary[RayMesh, Any] = WeakKeyDictionary()
 
 
 @lru_cache(maxsize=1)

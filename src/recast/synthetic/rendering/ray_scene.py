@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 from recast.arrays import Array
 from recast.geometry import se3
 from recast.synthetic.rendering import compiled
-from recast.synthetic.rendering.rays import BoolArray, Float32Array, Mesh, dot, rows, shift
+from recast.synthetic.rendering.rays import BoolArray, Float32Array, RayMesh, dot, rows, shift
 from recast.synthetic.surface import Surface, concatenate, corner_normals
 
 Poses = Mapping[str, Array]
@@ -101,7 +101,7 @@ class RayScene:
         self.static = static
         self.models = dict(models)
         self.names: tuple[str, ...] = tuple(sorted(models))
-        self._meshes = [Mesh(static), *(Mesh(models[name]) for name in self.names)]
+        self._meshes = [RayMesh(static), *(RayMesh(models[name]) for name in self.names)]
         self.bounds = [_bounds(static), *(_bounds(models[name]) for name in self.names)]
         self.attributes = FaceAttributes([static, *(models[name] for name in self.names)])
 
@@ -120,7 +120,7 @@ class RayScene:
         scene._meshes, scene.bounds = list(self._meshes), list(self.bounds)
         places = {1 + self.names.index(name): surface for name, surface in changed.items()}
         for place, surface in places.items():
-            scene._meshes[place], scene.bounds[place] = Mesh(surface), _bounds(surface)
+            scene._meshes[place], scene.bounds[place] = RayMesh(surface), _bounds(surface)
         scene.attributes = self.attributes.with_surfaces(places)
         return scene
 
@@ -139,7 +139,7 @@ class RayScene:
         origins = np.ascontiguousarray(np.broadcast_to(origins, directions.shape))
         return self.posed(poses).cast(origins, directions)
 
-    def mesh(self, instance: int) -> Mesh:
+    def mesh(self, instance: int) -> RayMesh:
         """The hierarchy of one instance."""
         return self._meshes[instance]
 
@@ -185,7 +185,7 @@ class PosedScene:
             coherent: neighbouring rays lie close together: sooner then, later where they do not.
             street: False lets the rays pass through what never moves.
         """
-        mesh = self.scene.mesh(STREET) if street else Mesh(concatenate([]))
+        mesh = self.scene.mesh(STREET) if street else RayMesh(concatenate([]))
         distance, face, u, v = mesh.first_hits(origins, directions, coherent=coherent)
         instance = np.where(face >= 0, np.uint16(STREET), np.uint16(SKY))
         enter = self._spheres.entered(origins, directions)

@@ -37,7 +37,7 @@ class MeshHits(NamedTuple):
     v: Float32Array
 
 
-class Mesh:
+class RayMesh:
     """The bounding volume hierarchy of one surface, in the surface's own frame.
 
     Args:

@@ -8,8 +8,8 @@ import numpy as np
 
 from recast.synthetic.scenery.fences import STEEL
 from recast.synthetic.scenery.primitives import (
-    Panels,
     Point,
+    SceneryPanels,
     boxes,
     prism,
     quads,
@@ -198,7 +198,7 @@ def _approach(
     ]
     lane = [(-inner, near, crown), (inner, near, crown), (inner, far, 0.03), (-inner, far, 0.03)]
     order = 1 if side > 0 else -1
-    earth = Panels()
+    earth = SceneryPanels()
     for points in green:
         earth.polygon(points[::order], GRASS, "grass")
     earth.polygon(lane[::order], ASPHALT, "asphalt")

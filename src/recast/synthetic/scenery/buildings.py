@@ -8,7 +8,7 @@ import numpy as np
 
 from recast.synthetic.scenery.facades import (
     Facade,
-    Look,
+    FacadeLook,
     Opening,
     around,
     bays,
@@ -18,7 +18,7 @@ from recast.synthetic.scenery.facades import (
     window_row,
 )
 from recast.synthetic.scenery.primitives import (
-    Panels,
+    SceneryPanels,
     at,
     require_count,
     require_known,
@@ -55,7 +55,7 @@ def urban(rng: np.random.Generator, width: float, depth: float, storeys: int | N
     upper = rng.uniform(2.9, 3.4)
     edges = [-0.3, *(ground + upper * np.arange(count))]
     windows = len(centres) * (count - 1)
-    look = Look(
+    look = FacadeLook(
         wall,
         "brick" if brick else "plaster",
         frame=pick(rng, "frames"),
@@ -72,7 +72,9 @@ def urban(rng: np.random.Generator, width: float, depth: float, storeys: int | N
     top = edges[-1]
     if rng.random() < 0.85:
         cornice(front, top - 0.35, rng.uniform(0.25, 0.5), rng.uniform(0.35, 0.55))
-    side = Look(scaled(wall, 0.85), look.wall_material, trim=trim, frame=look.frame, lean=True)
+    side = FacadeLook(
+        scaled(wall, 0.85), look.wall_material, trim=trim, frame=look.frame, lean=True
+    )
     others = ((depth, 0.12), (width, 0.4), (depth, 0.12))
     plain = [plain_wall(rng, length, edges, side, share) for length, share in others]
     roof = _urban_roof(rng, width, depth, top, centres - width / 2, look)
@@ -135,8 +137,8 @@ def _urban_roof(
     depth: float,
     top: float,
     columns: np.ndarray,
-    look: Look,
-) -> Panels:
+    look: FacadeLook,
+) -> SceneryPanels:
     """Flat behind a parapet, or a mansard with dormers; chimneys on the party walls."""
     half = width / 2
     if rng.random() < 0.6 or depth < 7:
@@ -166,7 +168,7 @@ def suburban(rng: np.random.Generator, width: float, depth: float, storeys: int 
     finishes = (("bricks", "brick"), ("plasters", "plaster"), ("boards", "wood"))
     palette, material = finishes[rng.choice(3, p=[0.4, 0.4, 0.2])]
     wall = pick(rng, palette)
-    look = Look(
+    look = FacadeLook(
         wall,
         material,
         frame=pick(rng, "frames"),
@@ -180,7 +182,7 @@ def suburban(rng: np.random.Generator, width: float, depth: float, storeys: int 
     edges = [-0.3, *(0.15 + STOREY * np.arange(1, count + 1))]
     front = Facade(rng, width, look)
     door = _suburban_front(front, edges)
-    side = Look(wall, material, frame=look.frame, trim=look.trim, lean=True)
+    side = FacadeLook(wall, material, frame=look.frame, trim=look.trim, lean=True)
     others = ((depth, 0.5), (width, 0.7), (depth, 0.5))
     plain = [plain_wall(rng, length, edges, side, share) for length, share in others]
     walls = around(width, depth, front, *plain)
@@ -222,9 +224,9 @@ def _suburban_front(panels: Facade, edges: list[float]) -> float:
     return float(door)
 
 
-def _porch(rng: np.random.Generator, x: float, look: Look) -> Panels:
+def _porch(rng: np.random.Generator, x: float, look: FacadeLook) -> SceneryPanels:
     """A roof over the door on two posts, or a plain slab."""
-    panels = Panels()
+    panels = SceneryPanels()
     tiles = pick(rng, "tiles")
     wide, out = 1.1, 1.3
     if rng.random() < 0.5:
@@ -244,12 +246,12 @@ def _porch(rng: np.random.Generator, x: float, look: Look) -> Panels:
 
 
 def _suburban_roof(
-    rng: np.random.Generator, width: float, depth: float, top: float, look: Look
+    rng: np.random.Generator, width: float, depth: float, top: float, look: FacadeLook
 ) -> Surface:
     """Gable to the sides, gable to the street, or hipped; most have a chimney."""
     tiles = pick(rng, "tiles")
     steep = rng.uniform(0.55, 0.95)
-    extra, wall = Panels(), (look.wall, look.wall_material)
+    extra, wall = SceneryPanels(), (look.wall, look.wall_material)
     form = rng.choice(["gable", "front", "hip"], p=[0.45, 0.25, 0.3])
     if form == "front" and width < 1.4 * depth:
         rise = steep * width / 2

@@ -8,14 +8,14 @@ from itertools import pairwise
 
 import numpy as np
 
-from recast.synthetic.scenery.primitives import PALETTES, Panels, at, choose
+from recast.synthetic.scenery.primitives import PALETTES, SceneryPanels, at, choose
 from recast.synthetic.surface import Surface
 
 Colour = tuple[float, float, float]
 
 
 @dataclass(frozen=True)
-class Look:
+class FacadeLook:
     """Colours and habits shared by all openings of a facade.
 
     Attributes:
@@ -59,7 +59,7 @@ class Opening:
     kind: str = "window"
 
 
-class Facade(Panels):
+class Facade(SceneryPanels):
     """A wall, x in [0, width], and what is on it.
 
     Args:
@@ -68,7 +68,7 @@ class Facade(Panels):
         look: look of the wall and its openings.
     """
 
-    def __init__(self, rng: np.random.Generator, width: float, look: Look) -> None:
+    def __init__(self, rng: np.random.Generator, width: float, look: FacadeLook) -> None:
         super().__init__()
         self.rng, self.width, self.look = rng, width, look
 
@@ -183,8 +183,8 @@ def bays(width: float, bay: float, margin: float) -> np.ndarray:
 
 
 def plain_wall(
-    rng: np.random.Generator, width: float, edges: Sequence[float], look: Look, share: float
-) -> Panels:
+    rng: np.random.Generator, width: float, edges: Sequence[float], look: FacadeLook, share: float
+) -> SceneryPanels:
     """A side or back wall: small windows in a share of its bays, blank elsewhere.
 
     The windows are flat, a frame on the wall and glass on the frame: no road runs close to them.
@@ -218,7 +218,12 @@ def scaled(colour: Colour, factor: float) -> Colour:
 
 
 def around(
-    width: float, depth: float, front: Panels, right: Panels, back: Panels, left: Panels
+    width: float,
+    depth: float,
+    front: SceneryPanels,
+    right: SceneryPanels,
+    back: SceneryPanels,
+    left: SceneryPanels,
 ) -> list[Surface]:
     """The facades, each drawn as if it were the front, on their sides of the building."""
     return [

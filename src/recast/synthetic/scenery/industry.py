@@ -8,7 +8,7 @@ import numpy as np
 
 from recast.synthetic.scenery.primitives import (
     PALETTES,
-    Panels,
+    SceneryPanels,
     at,
     boxes,
     choose,
@@ -37,7 +37,7 @@ def container(rng: np.random.Generator, length: float = 6.06) -> Surface:
     require_size("container", "length", length, 2.5, 16.0)
     half, w, h = length / 2, CONTAINER_WIDTH, CONTAINER_HEIGHT
     paint = choose(rng, "steel_paints") * rng.uniform(0.8, 1.2)
-    panels = Panels()
+    panels = SceneryPanels()
     frame = 0.85 * paint
     for x in (-half, half - 0.14):
         for y in (0.0, w - 0.14):
@@ -64,7 +64,7 @@ def container(rng: np.random.Generator, length: float = 6.06) -> Surface:
     return panels.surface()
 
 
-def _ribs(panels: Panels, half: float, y: float, paint: np.ndarray, front: bool) -> None:
+def _ribs(panels: SceneryPanels, half: float, y: float, paint: np.ndarray, front: bool) -> None:
     """A side wall folded outwards and inwards, looking to -y or, when not front, to +y."""
     count = max(4, round((2 * half - 0.28) / RIB))
     edges = np.linspace(-half + 0.14, half - 0.14, count + 1)
@@ -77,7 +77,9 @@ def _ribs(panels: Panels, half: float, y: float, paint: np.ndarray, front: bool)
             panels.polygon(piece if front else piece[::-1], paint, "plastic")
 
 
-def _lettering(panels: Panels, rng: np.random.Generator, half: float, paint: np.ndarray) -> None:
+def _lettering(
+    panels: SceneryPanels, rng: np.random.Generator, half: float, paint: np.ndarray
+) -> None:
     """An owner's name on the front as blocks, on two thirds of all."""
     if rng.random() < 0.33:
         return
@@ -154,7 +156,7 @@ def hoarding(rng: np.random.Generator, width: float = 6.0, height: float = 3.0) 
     require_size("hoarding", "height", height, 0.8, 10.0)
     low = rng.uniform(2.2, 3.0)
     half, top = width / 2, low + height
-    panels = Panels()
+    panels = SceneryPanels()
     panels.box((-half, -0.1, low), (half, 0.1, top), FRAME, "plastic")
     edge = min(0.12, 0.05 * width)
     _poster(panels, rng, -half + edge, half - edge, low + edge, top - edge)
@@ -173,7 +175,12 @@ def hoarding(rng: np.random.Generator, width: float = 6.0, height: float = 3.0) 
 
 
 def _poster(
-    panels: Panels, rng: np.random.Generator, left: float, right: float, low: float, high: float
+    panels: SceneryPanels,
+    rng: np.random.Generator,
+    left: float,
+    right: float,
+    low: float,
+    high: float,
 ) -> None:
     """Ground in shaded bands, a round or slanted picture on one side, lines of lettering beside."""
     posters = PALETTES["posters"].reshape(-1, 3, 3)

@@ -194,7 +194,7 @@ FACING_MINUS_X: Array = np.array([[0, 0, -1.0, 0], [-1, 0, 0, 0], [0, 1, 0, 0], 
 """(4, 4) that turns a drawing (x to the reader's right, y up, z to the reader) to face -x."""
 
 
-class Panels:
+class SceneryPanels:
     """Flat convex pieces, each with a colour and a material; flat shading.
 
     Facades are drawn in a frame of their own: x along the wall, the wall on y = 0, looked at from

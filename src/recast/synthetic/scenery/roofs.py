@@ -7,7 +7,7 @@ from itertools import pairwise
 import numpy as np
 
 from recast.synthetic.scenery.facades import Colour, Facade, Opening
-from recast.synthetic.scenery.primitives import PALETTES, Panels, choose
+from recast.synthetic.scenery.primitives import PALETTES, SceneryPanels, choose
 
 FELT: Colour = (0.10, 0.10, 0.105)
 IRON: Colour = (0.025, 0.027, 0.03)
@@ -21,9 +21,9 @@ def flat_roof(
     parapet: float,
     wall: tuple[Colour, str],
     coping: Colour,
-) -> Panels:
+) -> SceneryPanels:
     """A flat roof at `top` behind a parapet, with a stair head and ventilation boxes."""
-    panels = Panels()
+    panels = SceneryPanels()
     half, edge = width / 2, 0.25
     panels.box((-half, 0, top - 0.05), (half, depth, top), FELT, "concrete", "bfklr")
     rim = top + parapet
@@ -55,7 +55,7 @@ def gable_roof(
     colour: Colour,
     wall: tuple[Colour, str],
     material: str = "tiles",
-) -> Panels:
+) -> SceneryPanels:
     """A ridge along x over the middle, gable walls at the sides, slopes to the front and back.
 
     Args:
@@ -65,7 +65,7 @@ def gable_roof(
         colour, material: colour and material of the roof.
         wall: colour and material of the gables.
     """
-    panels = Panels()
+    panels = SceneryPanels()
     (width, depth, rise), (eaves, verge) = size, out
     half, middle = width / 2, depth / 2
     slope = rise / middle
@@ -89,9 +89,11 @@ def gable_roof(
     return panels
 
 
-def hip_roof(size: tuple[float, float, float], low: float, eaves: float, colour: Colour) -> Panels:
+def hip_roof(
+    size: tuple[float, float, float], low: float, eaves: float, colour: Colour
+) -> SceneryPanels:
     """Slopes on all four sides; a pyramid over a square; `size` as of `gable_roof`."""
-    panels = Panels()
+    panels = SceneryPanels()
     width, depth, rise = size
     half = width / 2 + eaves
     y0, y1 = -eaves, depth + eaves
@@ -114,9 +116,9 @@ def hip_roof(size: tuple[float, float, float], low: float, eaves: float, colour:
 
 def mansard(
     size: tuple[float, float, float], low: float, colour: Colour, wall: tuple[Colour, str]
-) -> Panels:
+) -> SceneryPanels:
     """A steep tiled front and back up to a flat top, between party walls; as of `gable_roof`."""
-    panels = Panels()
+    panels = SceneryPanels()
     width, depth, rise = size
     half, back = width / 2, 0.35 * rise
     top = low + rise
@@ -133,7 +135,9 @@ def mansard(
     return panels
 
 
-def chimney(panels: Panels, x: float, y: float, low: float, high: float, colour: Colour) -> None:
+def chimney(
+    panels: SceneryPanels, x: float, y: float, low: float, high: float, colour: Colour
+) -> None:
     """A brick stack with two pots."""
     panels.box((x - 0.4, y - 0.25, low), (x + 0.4, y + 0.25, high), colour, "brick", "b")
     cap = (x - 0.46, y - 0.31, high - 0.15), (x + 0.46, y + 0.31, high)

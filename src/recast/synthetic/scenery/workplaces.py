@@ -9,7 +9,7 @@ import numpy as np
 from recast.synthetic.scenery.facades import (
     Colour,
     Facade,
-    Look,
+    FacadeLook,
     Opening,
     around,
     bays,
@@ -17,7 +17,7 @@ from recast.synthetic.scenery.facades import (
     scaled,
     window_row,
 )
-from recast.synthetic.scenery.primitives import Panels
+from recast.synthetic.scenery.primitives import SceneryPanels
 from recast.synthetic.scenery.roofs import flat_roof, gable_roof
 from recast.synthetic.surface import Surface, concatenate
 
@@ -35,7 +35,7 @@ def industrial(
     cladding, accent = pick(rng, "shed_claddings"), pick(rng, "accents")
     base = pick(rng, "bricks") if rng.random() < 0.5 else (0.38, 0.37, 0.35)
     material = "brick" if base[0] > 1.5 * base[2] else "concrete"
-    look = Look(
+    look = FacadeLook(
         cladding,
         "corrugated",
         frame=(0.12, 0.125, 0.13),
@@ -44,7 +44,9 @@ def industrial(
         reveal=0.15,
         lean=True,
     )
-    lower = Look(base, material, frame=look.frame, trim=look.trim, door=look.door, reveal=0.15)
+    lower = FacadeLook(
+        base, material, frame=look.frame, trim=look.trim, door=look.door, reveal=0.15
+    )
     front = Facade(rng, width, look)
     _front(front, plinth, top, lower, accent)
     sides = [_side(rng, length, plinth, top, look, lower) for length in (depth, width, depth)]
@@ -58,7 +60,7 @@ def industrial(
     return concatenate([*walls, roof.surface()])
 
 
-def _front(panels: Facade, plinth: float, top: float, lower: Look, accent: Colour) -> None:
+def _front(panels: Facade, plinth: float, top: float, lower: FacadeLook, accent: Colour) -> None:
     """Roller shutters, an office corner of two rows of windows, strip windows above, a sign."""
     rng, width, look = panels.rng, panels.width, panels.look
     gate = min(rng.uniform(3.6, 4.6), top - 1.5)
@@ -123,8 +125,13 @@ def _sign(panels: Facade, top: float, accent: Colour) -> None:
 
 
 def _side(
-    rng: np.random.Generator, width: float, plinth: float, top: float, look: Look, lower: Look
-) -> Panels:
+    rng: np.random.Generator,
+    width: float,
+    plinth: float,
+    top: float,
+    look: FacadeLook,
+    lower: FacadeLook,
+) -> SceneryPanels:
     """Cladding over the plinth with strip windows, a shutter now and then, and downpipes."""
     panels = Facade(rng, width, lower)
     base, above = [], []
@@ -154,7 +161,7 @@ def office(rng: np.random.Generator, width: float, depth: float, storeys: int | 
     form = ("bands", "curtain", "grid")[rng.integers(3)]
     frame = pick(rng, "mullions")
     pane = max(rng.uniform(1.4, 2.4), 2 * (width + depth) * count / PANES)
-    look = Look(
+    look = FacadeLook(
         wall, "concrete", frame=frame, trim=scaled(wall, 1.15), reveal=0.3, lean=True, blinds=0.25
     )
     sides = []

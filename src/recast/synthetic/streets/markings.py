@@ -11,7 +11,7 @@ import shapely
 from numpy.random import Generator
 
 from recast.arrays import Array
-from recast.synthetic.streets.network import Arm
+from recast.synthetic.streets.network import JunctionArm
 from recast.synthetic.streets.road import Road
 from recast.synthetic.streets.shapes import Decals, Pose, placed
 from recast.synthetic.world import ParkingSpot
@@ -203,7 +203,7 @@ def paint_through(site: Site, before: Road, after: Road) -> None:
 
 def paint_arm(
     site: Site,
-    arm: Arm,
+    arm: JunctionArm,
     control: Control,
     zebra: bool,
     arrows: Sequence[ArrowKind] = (),

@@ -19,7 +19,7 @@ _SIDE_SPEED = 8.3
 
 
 @dataclass(frozen=True)
-class Arm:
+class JunctionArm:
     """A road's end at a junction.
 
     Attributes:
@@ -44,7 +44,7 @@ class Arm:
         return [self.road.lane_id(block, direction * k) for k in range(1, count + 1)]
 
 
-class Network:
+class StreetNetwork:
     """Collects roads and lanes.
 
     Attributes:
@@ -99,7 +99,7 @@ class Network:
     def junction(
         self,
         name: str,
-        arms: Sequence[Arm],
+        arms: Sequence[JunctionArm],
         right_reach: float,
         barred: Sequence[tuple[str, str]] = (),
     ) -> None:
@@ -119,7 +119,9 @@ class Network:
                     continue
                 self._movement(name, arm, other, right_reach)
 
-    def _movement(self, name: str, arm: Arm, other: Arm, right_reach: float) -> None:
+    def _movement(
+        self, name: str, arm: JunctionArm, other: JunctionArm, right_reach: float
+    ) -> None:
         sources, targets = arm.incoming(), other.outgoing()
         leaving, entering = self.lanes[sources[0]], self.lanes[targets[0]]
         turn = float(se2.wrap_angle(start_pose(entering).heading - end_pose(leaving).heading))
@@ -189,7 +191,7 @@ class Tee:
         side: road that leads away from the junction.
     """
 
-    network: Network
+    network: StreetNetwork
     main: Road
     ahead: Road
     side: Road
@@ -223,7 +225,8 @@ def tee(
         speed: limit on the through road, m/s.
         fillet: radius of the kerbs at the corners.
         zebra: leave room for a crossing before the junction.
-        barred: names of roads (from, to) between which one cannot turn, as in `Network.junction`.
+        barred: names of roads (from, to) between which one cannot turn, as in
+            `StreetNetwork.junction`.
         side_length: metres of the side road.
     """
     half = minor.kerb(1) + fillet + (5.0 if zebra else 0.5)
@@ -237,7 +240,7 @@ def tee(
     begin = kerb - 3.0 if section.median > 0.5 else 0.0
     start = kerb + fillet + 0.5
     side = Road("side", side_line, minor, start, side_length, _SIDE_SPEED, (begin, side_length))
-    network = Network([main, ahead, side])
-    arms = [Arm(main, True), Arm(ahead, False), Arm(side, False)]
+    network = StreetNetwork([main, ahead, side])
+    arms = [JunctionArm(main, True), JunctionArm(ahead, False), JunctionArm(side, False)]
     network.junction("crossing", arms, fillet + 3.0, barred)
     return Tee(network, main, ahead, side)

@@ -31,10 +31,10 @@ from recast.synthetic.streets.markings import (
     paint_through,
     park_along,
 )
-from recast.synthetic.streets.network import Arm, Network, tee
+from recast.synthetic.streets.network import JunctionArm, StreetNetwork, tee
 from recast.synthetic.streets.road import Road, Section, Wear
 from recast.synthetic.streets.shapes import Pose, ReferenceLine
-from recast.synthetic.streets.site import EGO_START, RUN_OUT, Layout, Site
+from recast.synthetic.streets.site import EGO_START, RUN_OUT, Site, StreetLayout
 
 ARTERIAL_EDGE = Edge(True, (Band(2.4, GRASS), Band(2.6, PAVING)), GRASS)
 ARTERIAL_OFFICES = Frontage("office", (12.0, 18.0), (24.0, 46.0), (15.0, 24.0), (8.0, 22.0))
@@ -60,7 +60,7 @@ def arterial_median(rng: Generator, length: float) -> Site:
     paint_road(site, ahead, RoadPaint(solid=0.0), (True, False))
     paint_through(site, main, ahead)
     paint_road(site, side, RoadPaint("solid", solid=12), (True, False))
-    paint_arm(site, Arm(side, False), "yield", zebra=False)
+    paint_arm(site, JunctionArm(side, False), "yield", zebra=False)
     for way in (1, -1):
         build_along(site, main, way, ARTERIAL_OFFICES, main.paved[0], ahead.paved[1])
     _furnish_arterial(site, main, ahead)
@@ -69,7 +69,7 @@ def arterial_median(rng: Generator, length: float) -> Site:
     return site
 
 
-def _arterial_layout(rng: Generator, length: float) -> Layout:
+def _arterial_layout(rng: Generator, length: float) -> StreetLayout:
     total = EGO_START + length + RUN_OUT
     bend = float(rng.uniform(-1, 1)) / 900
     line = ReferenceLine.from_bends(
@@ -96,7 +96,9 @@ def _arterial_layout(rng: Generator, length: float) -> Layout:
     rim = np.concatenate([main.point(s, -half_median), main.point(s, half_median)[::-1]])
     median = shapely.Polygon(rim).buffer(-0.3).buffer(0.3)
     islands = (Island(median, GRASS),)
-    return Layout(roads.network, roads.route(2), ARTERIAL_SPEED - 2.5, ARTERIAL_EDGE, 9.0, islands)
+    return StreetLayout(
+        roads.network, roads.route(2), ARTERIAL_SPEED - 2.5, ARTERIAL_EDGE, 9.0, islands
+    )
 
 
 def _furnish_arterial(site: Site, main: Road, ahead: Road) -> None:
@@ -154,7 +156,7 @@ def underpass(rng: Generator, length: float) -> Site:
     return site
 
 
-def _underpass_layout(rng: Generator, length: float) -> Layout:
+def _underpass_layout(rng: Generator, length: float) -> StreetLayout:
     total = EGO_START + length + RUN_OUT
     bend = float(rng.uniform(-1.0, 1.0)) / 500
     line = ReferenceLine.from_bends(
@@ -162,9 +164,9 @@ def _underpass_layout(rng: Generator, length: float) -> Layout:
     ).part(0.0, total)
     section = Section(2, 2, lane_width=3.5, edge=0.5)
     main = Road("main", line, section, 0.0, total, UNDERPASS_SPEED, (0.0, total))
-    network = Network([main])
+    network = StreetNetwork([main])
     route = network.route(main.lane_id(0, 2), main.lane_id(len(main.blocks()) - 2, 2))
-    return Layout(network, route, UNDERPASS_SPEED - 1.0, UNDERPASS_EDGE)
+    return StreetLayout(network, route, UNDERPASS_SPEED - 1.0, UNDERPASS_EDGE)
 
 
 def _bridge(site: Site, road: Road, s: float, width: float) -> None:
@@ -206,7 +208,7 @@ def industrial(rng: Generator, length: float) -> Site:
         places = bays(road.start + 6.0, road.end - 8.0, 11.0, 2)[0]
         park_along(site, road, -1, places, 0.4, 11.0, 9.5, ticks=False)
     paint_road(site, side, RoadPaint("solid"), (True, False))
-    paint_arm(site, Arm(side, False), "stop", zebra=False)
+    paint_arm(site, JunctionArm(side, False), "stop", zebra=False)
     sign(site, side, side.start + 0.5, 1, "stop")
     sign(site, main, EGO_START + 18.0, -1, "speed", speed=50)
     sign(site, main, main.end - 28.0, -1, "direction", away=2.4)
@@ -222,7 +224,7 @@ def industrial(rng: Generator, length: float) -> Site:
     return site
 
 
-def _estate_layout(rng: Generator, length: float) -> Layout:
+def _estate_layout(rng: Generator, length: float) -> StreetLayout:
     total = EGO_START + length + RUN_OUT
     line = ReferenceLine.straight(Pose(-EGO_START, 0.0, 0.0), total)
     section = Section(1, 1, lane_width=3.7, parking_right=2.9, edge=0.4)
@@ -231,7 +233,9 @@ def _estate_layout(rng: Generator, length: float) -> Layout:
     minor = Section(1, 1, lane_width=3.7, edge=0.4)
     roads = tee(line, section, minor, crossing, way, ESTATE_SPEED, 11.0, zebra=False)
     wear = Wear((0.128, 0.127, 0.125), patches=7.0, cracks=15.0, covers=2.0, tracks=1.5)
-    return Layout(roads.network, roads.route(1), ESTATE_SPEED - 2.0, ESTATE_EDGE, 11.0, wear=wear)
+    return StreetLayout(
+        roads.network, roads.route(1), ESTATE_SPEED - 2.0, ESTATE_EDGE, 11.0, wear=wear
+    )
 
 
 def _yards(site: Site, road: Road, side: int, start: float, end: float) -> None:

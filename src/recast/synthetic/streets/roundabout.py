@@ -23,10 +23,10 @@ from recast.synthetic.streets.dress import (
 )
 from recast.synthetic.streets.ground import GRASS, KERB_HEIGHT, PAVING, Band, Edge, Island
 from recast.synthetic.streets.markings import RoadPaint, paint_arm, paint_road
-from recast.synthetic.streets.network import Arm, Network
+from recast.synthetic.streets.network import JunctionArm, StreetNetwork
 from recast.synthetic.streets.road import Road, Section
 from recast.synthetic.streets.shapes import Pose, ReferenceLine, ribbon
-from recast.synthetic.streets.site import EGO_START, RUN_OUT, Layout, Prop, Site
+from recast.synthetic.streets.site import EGO_START, RUN_OUT, Prop, Site, StreetLayout
 from recast.synthetic.surface import Surface, concatenate
 
 _LANE = 3.7
@@ -56,7 +56,7 @@ class Roundabout:
         splitters: islands between the directions of each road.
     """
 
-    network: Network
+    network: StreetNetwork
     arms: tuple[Road, ...]
     centre: tuple[float, float]
     radius: float
@@ -108,7 +108,7 @@ def make_roundabout(
             spread = ((-_GAP, _SPREAD), (4.0, _SPREAD), (27.0, 0.0), (length, 0.0))
             paved = (-_GAP, length)
         roads.append(Road(name, line, section, 0.0, length, speed, paved, spread))
-    network = Network(roads)
+    network = StreetNetwork(roads)
     _link(network, roads, centre, radius, [angle for _, angle, _ in arms])
     return Roundabout(
         network,
@@ -121,7 +121,7 @@ def make_roundabout(
 
 
 def _link(
-    network: Network, roads: list[Road], centre: Pose, radius: float, angles: list[float]
+    network: StreetNetwork, roads: list[Road], centre: Pose, radius: float, angles: list[float]
 ) -> None:
     """Ring lanes from each exit to the entry beside it and on to the next exit, and joins."""
     middle = np.array(centre[:2])
@@ -133,7 +133,7 @@ def _link(
             line = ReferenceLine.circle(middle, radius, angle + start, turn)
             network.add(f"ring-{road.name}-{piece}", line, (_LANE, _LANE))
     for k, road in enumerate(roads):
-        arm = Arm(road, road.name == "main")
+        arm = JunctionArm(road, road.name == "main")
         following = roads[(k + 1) % count].name
         before = roads[k - 1].name
         across, after = f"ring-{road.name}-across", f"ring-{road.name}-round"
@@ -167,7 +167,7 @@ def roundabout_approach(rng: Generator, length: float) -> Site:
         entering = road.name == "main"
         ends = (False, True) if entering else (True, False)
         paint_road(site, road, RoadPaint("dashed", solid=30.0), ends)
-        arm = Arm(road, entering)
+        arm = JunctionArm(road, entering)
         paint_arm(site, arm, "yield", zebra=False)
         at = road.end - 8.0 if entering else road.start + 8.0
         site.markings.zebra(road, at)
@@ -189,7 +189,7 @@ def roundabout_approach(rng: Generator, length: float) -> Site:
     return site
 
 
-def _layout(rng: Generator, length: float) -> tuple[Roundabout, Layout]:
+def _layout(rng: Generator, length: float) -> tuple[Roundabout, StreetLayout]:
     approach = EGO_START + max(40.0, 0.42 * length)
     beyond = length + RUN_OUT - (approach - EGO_START)
     side = float(rng.uniform(75, 90))
@@ -207,7 +207,7 @@ def _layout(rng: Generator, length: float) -> tuple[Roundabout, Layout]:
         Island(round_.centre_disc, GRASS),
         *(Island(outline, PAVING) for outline in round_.splitters),
     )
-    layout = Layout(network, route, 9.5, EDGE, 6.0, islands, paved=(round_.disc,))
+    layout = StreetLayout(network, route, 9.5, EDGE, 6.0, islands, paved=(round_.disc,))
     return round_, layout
 
 

@@ -14,7 +14,7 @@ from recast.logs import HdMap
 from recast.synthetic.scenery.primitives import at
 from recast.synthetic.streets.ground import Edge, Ground, Island
 from recast.synthetic.streets.markings import Markings
-from recast.synthetic.streets.network import Network
+from recast.synthetic.streets.network import StreetNetwork
 from recast.synthetic.streets.road import Road, Wear, wear_road, wear_turns
 from recast.synthetic.streets.shapes import Decals, Pose, placed, without_holes
 from recast.synthetic.surface import Surface, concatenate
@@ -132,7 +132,7 @@ class Placer:
 
 
 @dataclass(frozen=True)
-class Layout:
+class StreetLayout:
     """Roads of a scene, before anything stands on them.
 
     Attributes:
@@ -146,7 +146,7 @@ class Layout:
         paved: asphalt besides the roads' and lanes' own.
     """
 
-    network: Network
+    network: StreetNetwork
     route: tuple[str, ...]
     speed: float
     edge: Edge
@@ -172,7 +172,7 @@ class Site:
         extras: further surfaces in the world frame.
     """
 
-    def __init__(self, layout: Layout, rng: Generator) -> None:
+    def __init__(self, layout: StreetLayout, rng: Generator) -> None:
         self.layout = layout
         self.rng = rng
         self._ground_rng, self._wear_rng, self._sky_rng, paint_rng = rng.spawn(4)

@@ -20,10 +20,10 @@ from recast.synthetic.streets.dress import (
 )
 from recast.synthetic.streets.ground import PAVING, Band, Edge, Island
 from recast.synthetic.streets.markings import RoadPaint, bays, paint_arm, paint_road, park_along
-from recast.synthetic.streets.network import Arm, Network, tee
+from recast.synthetic.streets.network import JunctionArm, StreetNetwork, tee
 from recast.synthetic.streets.road import Road, Section, Wear
 from recast.synthetic.streets.shapes import Pose, ReferenceLine
-from recast.synthetic.streets.site import EGO_START, RUN_OUT, Layout, Prop, Site
+from recast.synthetic.streets.site import EGO_START, RUN_OUT, Prop, Site, StreetLayout
 
 CITY = ((0.25, 0.24, 0.22), "concrete")
 TOWN_EDGE = Edge(True, (Band(4.6, PAVING),), CITY)
@@ -48,8 +48,8 @@ def urban_straight(rng: Generator, length: float) -> Site:
     paint_road(site, main, paint, (False, True))
     paint_road(site, ahead, paint, (True, False))
     paint_road(site, side, RoadPaint("dashed", edges=False, solid=12), (True, False))
-    paint_arm(site, Arm(main, True), "none", zebra=True)
-    paint_arm(site, Arm(side, False), "yield", zebra=False)
+    paint_arm(site, JunctionArm(main, True), "none", zebra=True)
+    paint_arm(site, JunctionArm(side, False), "yield", zebra=False)
     for road in (main, ahead):
         for way in (1, -1):
             joints(site, road, way, 4.6)
@@ -65,14 +65,14 @@ def urban_straight(rng: Generator, length: float) -> Site:
     return site
 
 
-def _straight_layout(rng: Generator, length: float) -> Layout:
+def _straight_layout(rng: Generator, length: float) -> StreetLayout:
     total = EGO_START + length + RUN_OUT
     line = ReferenceLine.straight(Pose(-EGO_START, 0.0, 0.0), total)
     section = Section(2, 2, lane_width=float(rng.uniform(3.25, 3.4)), edge=0.35)
     crossing = EGO_START + length * float(rng.uniform(0.55, 0.75)) + 12.0
     way = int(rng.choice([-1, 1]))
     roads = tee(line, section, Section(1, 1, lane_width=3.3), crossing, way, TOWN_SPEED, fillet=7.0)
-    return Layout(roads.network, roads.route(2), TOWN_SPEED - 1.5, TOWN_EDGE)
+    return StreetLayout(roads.network, roads.route(2), TOWN_SPEED - 1.5, TOWN_EDGE)
 
 
 def _furnish_straight(site: Site, main: Road, ahead: Road, side: Road) -> None:
@@ -102,7 +102,7 @@ def signalled_intersection(rng: Generator, length: float) -> Site:
     for road in roads:
         ends = (False, True) if road.name == "main" else (True, False)
         paint_road(site, road, RoadPaint("double", edges=False, solid=30.0), ends)
-        arm = Arm(road, road.name == "main")
+        arm = JunctionArm(road, road.name == "main")
         paint_arm(site, arm, "stop", zebra=True, arrows=("straight-left", "straight-right"))
         _signals(site, arm, "green" if road.name in ("main", "ahead") else "red")
     for road in roads:
@@ -119,7 +119,7 @@ def signalled_intersection(rng: Generator, length: float) -> Site:
     return site
 
 
-def _crossing_layout(rng: Generator, length: float) -> Layout:
+def _crossing_layout(rng: Generator, length: float) -> StreetLayout:
     turn = str(rng.choice(["left", "right"]))
     section = Section(2, 2, lane_width=3.4, edge=0.35)
     half = section.kerb(1) + FILLET + 5.0
@@ -131,23 +131,23 @@ def _crossing_layout(rng: Generator, length: float) -> Layout:
     ahead = Road(
         "ahead", line, section, crossing + half, line.length, TOWN_SPEED, (crossing, line.length)
     )
-    arms = [Arm(main, True), Arm(ahead, False)]
+    arms = [JunctionArm(main, True), JunctionArm(ahead, False)]
     for name, way in (("left", 1), ("right", -1)):
         reach = rest if name == turn else 130.0
         cross = ReferenceLine.straight(centre._replace(heading=way * np.pi / 2), reach)
         road = Road(name, cross, section, half, reach, TOWN_SPEED, (0.0, reach))
-        arms.append(Arm(road, False))
-    network = Network([arm.road for arm in arms])
+        arms.append(JunctionArm(road, False))
+    network = StreetNetwork([arm.road for arm in arms])
     network.junction("crossing", arms, right_reach=FILLET + 3.5)
     exit_road = network.roads[turn]
     index = 1 if turn == "left" else 2
     route = network.route(
         main.lane_id(0, index), exit_road.lane_id(len(exit_road.blocks()) - 2, index)
     )
-    return Layout(network, route, 11.0, TOWN_EDGE, FILLET)
+    return StreetLayout(network, route, 11.0, TOWN_EDGE, FILLET)
 
 
-def _signals(site: Site, arm: Arm, state: str) -> None:
+def _signals(site: Site, arm: JunctionArm, state: str) -> None:
     """A signal with a mast arm beside the stop line, and one across the junction."""
     road, towards = arm.road, 1 if arm.at_end else -1
     s = road.end if arm.at_end else road.start
@@ -185,8 +185,8 @@ def parked_street(rng: Generator, length: float) -> Site:
             park_along(site, road, way, _places(road)[0], 0.92, PITCH)
             joints(site, road, way, 3.0)
     paint_road(site, side, RoadPaint("none", edges=False), (True, False))
-    paint_arm(site, Arm(side, False), "yield", zebra=False)
-    paint_arm(site, Arm(main, True), "none", zebra=True)
+    paint_arm(site, JunctionArm(side, False), "yield", zebra=False)
+    paint_arm(site, JunctionArm(main, True), "none", zebra=True)
     sign(site, side, side.start + 0.5, 1, "yield")
     sign(site, main, EGO_START + 14.0, -1, "parking")
     sign(site, ahead, ahead.start + 12.0, -1, "parking")
@@ -203,7 +203,7 @@ def parked_street(rng: Generator, length: float) -> Site:
     return site
 
 
-def _parked_layout(rng: Generator, length: float) -> Layout:
+def _parked_layout(rng: Generator, length: float) -> StreetLayout:
     total = EGO_START + length + RUN_OUT
     bend = float(rng.choice([-1.0, 1.0])) / rng.uniform(350, 600)
     line = ReferenceLine.from_bends(
@@ -218,7 +218,7 @@ def _parked_layout(rng: Generator, length: float) -> Layout:
         for side in (1, -1):
             islands += [_build_out(road, s, side) for s in _places(road)[1]]
     wear = Wear((0.12, 0.118, 0.115), patches=6.0, cracks=12.0, covers=3.5, tracks=0.6)
-    return Layout(
+    return StreetLayout(
         roads.network, roads.route(1), NARROW_SPEED - 0.3, NARROW_EDGE, 5.0, tuple(islands), wear
     )
 

@@ -22,10 +22,10 @@ from recast.synthetic.streets.dress import (
 )
 from recast.synthetic.streets.ground import GRASS, GRAVEL, PAVING, SOIL, Band, Edge
 from recast.synthetic.streets.markings import RoadPaint, bays, paint_arm, paint_road, park_along
-from recast.synthetic.streets.network import Arm, tee
+from recast.synthetic.streets.network import JunctionArm, tee
 from recast.synthetic.streets.road import Road, Section, Wear
 from recast.synthetic.streets.shapes import Pose, ReferenceLine, flat
-from recast.synthetic.streets.site import EGO_START, RUN_OUT, Layout, Prop, Site
+from recast.synthetic.streets.site import EGO_START, RUN_OUT, Prop, Site, StreetLayout
 from recast.synthetic.surface import Surface
 
 RURAL_EDGE = Edge(
@@ -60,7 +60,7 @@ def rural_two_lane(rng: Generator, length: float) -> Site:
     paint_road(site, main, RoadPaint("dashed", dash=4.0, gap=8.0), (False, True))
     paint_road(site, ahead, RoadPaint("dashed", dash=4.0, gap=8.0), (True, False))
     site.markings.line(main, main.end, ahead.start, main.section.lanes_edge(_far(side)), 0.14)
-    paint_arm(site, Arm(side, False), "yield", zebra=False)
+    paint_arm(site, JunctionArm(side, False), "yield", zebra=False)
     sign(site, side, side.start + 1.0, 1, "yield", away=1.5)
     sign(site, main, EGO_START + 20.0, -1, "speed", away=1.5, speed=70)
     sign(site, main, main.end - 45.0, -1, "warning", away=1.5)
@@ -81,7 +81,7 @@ def rural_two_lane(rng: Generator, length: float) -> Site:
     return site
 
 
-def _rural_layout(rng: Generator, length: float) -> Layout:
+def _rural_layout(rng: Generator, length: float) -> StreetLayout:
     total = EGO_START + length + RUN_OUT
     way = float(rng.choice([-1.0, 1.0]))
     bends = [
@@ -97,7 +97,9 @@ def _rural_layout(rng: Generator, length: float) -> Layout:
     minor = Section(1, 1, lane_width=3.2, edge=0.2)
     roads = tee(line, section, minor, crossing, -int(way), RURAL_SPEED, 8.0, zebra=False)
     wear = Wear((0.15, 0.148, 0.143), patches=3.5, cracks=11.0, covers=0.0, tracks=1.1)
-    return Layout(roads.network, roads.route(1), RURAL_SPEED - 2.7, RURAL_EDGE, 8.0, wear=wear)
+    return StreetLayout(
+        roads.network, roads.route(1), RURAL_SPEED - 2.7, RURAL_EDGE, 8.0, wear=wear
+    )
 
 
 def _far(side: Road) -> int:
@@ -173,7 +175,7 @@ def suburban_curve(rng: Generator, length: float) -> Site:
     paint_road(site, main, paint, (False, True))
     paint_road(site, ahead, paint, (True, False))
     paint_road(site, side, RoadPaint("none", edges=False), (True, False))
-    paint_arm(site, Arm(side, False), "stop", zebra=False)
+    paint_arm(site, JunctionArm(side, False), "stop", zebra=False)
     sign(site, side, side.start + 0.5, 1, "stop")
     sign(site, main, EGO_START + 16.0, -1, "speed", speed=40)
     sign(site, main, main.end - 30.0, -1, "warning")
@@ -190,7 +192,7 @@ def suburban_curve(rng: Generator, length: float) -> Site:
     return site
 
 
-def _suburban_layout(rng: Generator, length: float) -> Layout:
+def _suburban_layout(rng: Generator, length: float) -> StreetLayout:
     total = EGO_START + length + RUN_OUT
     way = float(rng.choice([-1.0, 1.0]))
     first, second = way / rng.uniform(70, 110), -way / rng.uniform(80, 130)
@@ -204,7 +206,7 @@ def _suburban_layout(rng: Generator, length: float) -> Layout:
     roads = tee(line, section, minor, crossing, -int(way), SUBURBAN_SPEED, 6.0, zebra=False)
     wear = Wear((0.135, 0.133, 0.13), patches=5.0, cracks=12.0, covers=2.0, tracks=0.7)
     speed = SUBURBAN_SPEED - 1.1
-    return Layout(roads.network, roads.route(1), speed, SUBURBAN_EDGE, 6.0, wear=wear)
+    return StreetLayout(roads.network, roads.route(1), speed, SUBURBAN_EDGE, 6.0, wear=wear)
 
 
 def _plots(site: Site, road: Road, side: int, start: float, end: float) -> None:

@@ -13,7 +13,7 @@ from recast.synthetic.vehicles.parameters import (
     COLOURS,
     KIND_SHARES,
     KINDS,
-    VehicleParameters,
+    VehicleSizes,
     colour_shares,
     paint_rgb,
     sample_colour,
@@ -29,7 +29,7 @@ __all__ = [
     "KINDS",
     "KIND_SHARES",
     "SHAPES",
-    "VehicleParameters",
+    "VehicleSizes",
     "build_vehicle",
     "colour_shares",
     "read_mesh",
@@ -45,7 +45,7 @@ CATEGORIES: dict[str, str] = {"van": "van", "pickup": "car", "box-truck": "truck
 """Kind -> category of the label; all others are "car"."""
 
 
-def vehicle_parts(parameters: VehicleParameters, colour: str) -> Parts:
+def vehicle_parts(parameters: VehicleSizes, colour: str) -> Parts:
     """Name and surface of every part, each closed, in the actor-local frame.
 
     Raises:
@@ -64,7 +64,7 @@ def vehicle_parts(parameters: VehicleParameters, colour: str) -> Parts:
     return [(name, at(part, *-middle).scaled(scale)) for name, part in parts]
 
 
-def build_vehicle(parameters: VehicleParameters, colour: str) -> VehicleModel:
+def build_vehicle(parameters: VehicleSizes, colour: str) -> VehicleModel:
     """The finished vehicle; its size is the bounds of all parts but the mirrors.
 
     Args:

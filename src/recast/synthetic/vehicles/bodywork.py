@@ -9,8 +9,8 @@ import numpy as np
 from recast.arrays import Array
 from recast.synthetic.surface import Surface
 from recast.synthetic.vehicles.fittings import Parts, grid_block, pebble
-from recast.synthetic.vehicles.loft import Body
-from recast.synthetic.vehicles.parameters import VehicleParameters
+from recast.synthetic.vehicles.loft import LoftedBody
+from recast.synthetic.vehicles.parameters import VehicleSizes
 from recast.synthetic.vehicles.solid import (
     BEZEL,
     CHROME,
@@ -98,7 +98,7 @@ def pipe(solid: Solid, y: float, z: float) -> Surface:
     return pebble((x + 0.03, y, z), (0.08, 0.13, 0.06), CHROME, 4.0, (4, 10)).surface()
 
 
-def front_face(solid: Solid, p: VehicleParameters, end: float, edge: float) -> Parts:
+def front_face(solid: Solid, p: VehicleSizes, end: float, edge: float) -> Parts:
     """Paint the front of half a body; returns the parts that are set into it.
 
     Args:
@@ -148,7 +148,7 @@ def front_face(solid: Solid, p: VehicleParameters, end: float, edge: float) -> P
     return parts
 
 
-def _spots(p: VehicleParameters, top: float) -> Iterator[tuple[str, float, float, float, Finish]]:
+def _spots(p: VehicleSizes, top: float) -> Iterator[tuple[str, float, float, float, Finish]]:
     """Round lamps: name, y, z, radius and finish."""
     inner, middle = p.width / 2 - p.lamp_width, top - 0.5 * p.lamp_height
     for k, share in enumerate((0.27, 0.55)):
@@ -158,7 +158,7 @@ def _spots(p: VehicleParameters, top: float) -> Iterator[tuple[str, float, float
     yield "fog-lamp", 0.385 * p.width, p.ground_clearance + 0.16, 0.035, LAMP
 
 
-def _headlamp(solid: Solid, p: VehicleParameters, end: float, top: float) -> None:
+def _headlamp(solid: Solid, p: VehicleSizes, end: float, top: float) -> None:
     outer = p.width / 2
     inner = outer - p.lamp_width
     low = top - p.lamp_height
@@ -184,7 +184,7 @@ def _headlamp(solid: Solid, p: VehicleParameters, end: float, top: float) -> Non
 
 
 def rear_face(
-    solid: Solid, p: VehicleParameters, end: float, top: float, plate_low: float, exhaust: bool
+    solid: Solid, p: VehicleSizes, end: float, top: float, plate_low: float, exhaust: bool
 ) -> Parts:
     """Paint the rear of half a body; returns the parts that are set into it.
 
@@ -225,7 +225,7 @@ def rear_face(
     return parts
 
 
-def tail_lamp(solid: Solid, p: VehicleParameters, end: float, top: float) -> None:
+def tail_lamp(solid: Solid, p: VehicleSizes, end: float, top: float) -> None:
     """A lamp at the corner, upright where it is higher than wide, with indicator and reverse."""
     inner = p.width / 2 - p.tail_width
     low = top - p.tail_height
@@ -275,7 +275,7 @@ def seam(
     solid.paint(fields, SEAM, over=("paint", "plastic"))
 
 
-def doors(solid: Solid, body: Body, p: VehicleParameters, edges: list[float]) -> None:
+def doors(solid: Solid, body: LoftedBody, p: VehicleSizes, edges: list[float]) -> None:
     """Joints of doors whose upright edges are at these x, from the front backwards."""
     sill = p.ground_clearance + 0.09
     for k, x in enumerate(edges):

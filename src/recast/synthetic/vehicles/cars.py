@@ -9,8 +9,8 @@ from recast.synthetic.scenery.primitives import at
 from recast.synthetic.vehicles import fittings
 from recast.synthetic.vehicles.bodywork import doors, front_face, rear_face, seam
 from recast.synthetic.vehicles.fittings import Parts, SideGlass, screen, side_windows, wheel
-from recast.synthetic.vehicles.loft import Body, Profile, underside, wheel_wells
-from recast.synthetic.vehicles.parameters import VehicleParameters
+from recast.synthetic.vehicles.loft import LoftedBody, LoftProfile, underside, wheel_wells
+from recast.synthetic.vehicles.parameters import VehicleSizes
 from recast.synthetic.vehicles.solid import (
     CHROME,
     CLADDING,
@@ -25,13 +25,13 @@ from recast.synthetic.vehicles.solid import (
 )
 
 
-def car_body(p: VehicleParameters) -> Body:
+def car_body(p: VehicleSizes) -> LoftedBody:
     """The shape of the body."""
     front, rear = p.axles
     radius = p.wheel_radius
     gap = 1.12 if p.kind in ("suv", "pickup") else 1.09
     boxy = p.kind == "van"
-    return Body(
+    return LoftedBody(
         length=p.length,
         width=p.width,
         top=_outline(p),
@@ -58,12 +58,12 @@ def car_body(p: VehicleParameters) -> Body:
     )
 
 
-def screen_run(p: VehicleParameters) -> float:
+def screen_run(p: VehicleSizes) -> float:
     """Length of the windscreen seen from above."""
     return (p.height - p.roof_arch - p.cowl_height) * float(np.tan(p.windscreen_rake))
 
 
-def _outline(p: VehicleParameters) -> Profile:
+def _outline(p: VehicleSizes) -> LoftProfile:
     roof = p.height - p.roof_arch
     screen_end = p.bonnet_length + screen_run(p)
     deck = p.length - p.deck_length
@@ -83,7 +83,7 @@ def _outline(p: VehicleParameters) -> Profile:
             (deck, p.deck_height, 0.06 if bed else 0.12),
             (p.length, p.deck_height - (0.0 if bed else 0.02), 0.0),
         ]
-    return Profile.rounded(
+    return LoftProfile.rounded(
         [
             (0.0, p.nose_height, 0.0),
             (half, p.nose_height + 0.66 * rise, 0.4),
@@ -96,7 +96,7 @@ def _outline(p: VehicleParameters) -> Profile:
 
 
 def side_layout(
-    p: VehicleParameters, body: Body, gutter: float
+    p: VehicleSizes, body: LoftedBody, gutter: float
 ) -> tuple[SideGlass, list[float], list[float]]:
     """Outline of the side glass, x of the pillars, x of the door edges."""
     front, rear = p.axles
@@ -126,7 +126,9 @@ def side_layout(
     return glass, posts, [first, middle, third]
 
 
-def rear_window(solid: Solid, body: Body, p: VehicleParameters, deck: float, gutter: float) -> None:
+def rear_window(
+    solid: Solid, body: LoftedBody, p: VehicleSizes, deck: float, gutter: float
+) -> None:
     """Glass in the rear, of the form that the kind has."""
     if p.kind == "van":
         _van_rear(solid, p)
@@ -139,7 +141,7 @@ def rear_window(solid: Solid, body: Body, p: VehicleParameters, deck: float, gut
         screen(solid, body, lower, upper, 0.1, low_z=p.deck_height + 0.05)
 
 
-def _cab_back(solid: Solid, p: VehicleParameters, deck: float, gutter: float) -> None:
+def _cab_back(solid: Solid, p: VehicleSizes, deck: float, gutter: float) -> None:
     def pane(s: Solid) -> Array:
         fields = [s.y - 0.34 * p.width, p.deck_height + 0.1 - s.z, s.z - p.height + 0.19]
         return rounded(fields, 0.06, s.x - gutter - 0.15, deck - 0.2 - s.x, 0.75 - s.up)
@@ -148,7 +150,7 @@ def _cab_back(solid: Solid, p: VehicleParameters, deck: float, gutter: float) ->
     solid.paint(lambda s: pane(s) + 0.03, GLASS)
 
 
-def _van_rear(solid: Solid, p: VehicleParameters) -> None:
+def _van_rear(solid: Solid, p: VehicleSizes) -> None:
     """Two doors behind, glazed where the sides are."""
     rear = -p.length / 2
     low, high = p.belt_height + 0.05, p.height - 0.25
@@ -163,7 +165,7 @@ def _van_rear(solid: Solid, p: VehicleParameters) -> None:
         solid.paint(pane, GLASS)
 
 
-def open_bed(solid: Solid, p: VehicleParameters, front: float, rear: float) -> None:
+def open_bed(solid: Solid, p: VehicleSizes, front: float, rear: float) -> None:
     """Hollow out the bed of a pickup between two x."""
     # Above the wheel wells.
     floor = p.wheel_radius * 2.12 + 0.06
@@ -181,7 +183,7 @@ def open_bed(solid: Solid, p: VehicleParameters, front: float, rear: float) -> N
     solid.push(area, down, CLADDING)
 
 
-def car(p: VehicleParameters, paint: Finish) -> Parts:
+def car(p: VehicleSizes, paint: Finish) -> Parts:
     """Closed parts of a car, by name; heights above the ground."""
     body = car_body(p)
     solid = body.half(paint)
@@ -209,7 +211,7 @@ def car(p: VehicleParameters, paint: Finish) -> Parts:
     return parts + fittings.both(side)
 
 
-def _bonnet_lines(solid: Solid, p: VehicleParameters, end: float, cowl: float) -> None:
+def _bonnet_lines(solid: Solid, p: VehicleSizes, end: float, cowl: float) -> None:
     def sides(s: Solid) -> Area:
         off = s.y - 0.4 * p.width + 0.04 * (s.x - cowl)
         return strip(off, 0.004), [s.x - end + 0.16, cowl - 0.03 - s.x, 0.8 - s.up]
@@ -226,8 +228,8 @@ def _bonnet_lines(solid: Solid, p: VehicleParameters, end: float, cowl: float) -
 
 
 def _fittings(
-    p: VehicleParameters,
-    body: Body,
+    p: VehicleSizes,
+    body: LoftedBody,
     paint: Finish,
     cowl: float,
     edges: list[float],

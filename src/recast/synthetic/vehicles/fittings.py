@@ -10,8 +10,8 @@ import numpy as np
 from recast.arrays import Array
 from recast.synthetic.scenery.primitives import at
 from recast.synthetic.surface import Surface, corner_normals, sheet, spindle
-from recast.synthetic.vehicles.loft import Body, half_box
-from recast.synthetic.vehicles.parameters import VehicleParameters
+from recast.synthetic.vehicles.loft import LoftedBody, half_box
+from recast.synthetic.vehicles.parameters import VehicleSizes
 from recast.synthetic.vehicles.solid import (
     ALLOY,
     CHROME,
@@ -179,7 +179,7 @@ def wheel(
     return solid.surface()
 
 
-def steel_wheels(p: VehicleParameters) -> Parts:
+def steel_wheels(p: VehicleSizes) -> Parts:
     """Wheels of a heavy vehicle; the rear ones are twins."""
     turned = wheel(p.wheel_radius, p.tyre_width, p.rim_share, 8, dished=True)
     edge = p.width / 2 - p.tyre_width / 2 - 0.04
@@ -212,7 +212,7 @@ class SideGlass:
     sill: float = 0.015
     tall: float = 2.0
 
-    def field(self, body: Body, solid: Solid) -> Array:
+    def field(self, body: LoftedBody, solid: Solid) -> Array:
         """Negative inside."""
         slope = body.top.slope(body.length / 2 - solid.station)
         over = (solid.z - body.outline(solid.station)) / np.sqrt(1 + slope**2) + self.pillar
@@ -223,7 +223,7 @@ class SideGlass:
 
 
 def side_windows(
-    solid: Solid, body: Body, glass: SideGlass, pillars: Sequence[float], chrome: bool
+    solid: Solid, body: LoftedBody, glass: SideGlass, pillars: Sequence[float], chrome: bool
 ) -> None:
     """Glass with a trim around it, divided at the pillars' x."""
     solid.paint(lambda s: glass.field(body, s) - 0.018, CHROME if chrome else TRIM)
@@ -239,7 +239,7 @@ def side_windows(
 
 
 def screen(
-    solid: Solid, body: Body, low_x: float, high_x: float, inset: float, low_z: float = 0.0
+    solid: Solid, body: LoftedBody, low_x: float, high_x: float, inset: float, low_z: float = 0.0
 ) -> None:
     """A window in the upper skin, such as the windscreen, in a black band of ceramic ink.
 

@@ -26,8 +26,8 @@ from recast.synthetic.vehicles.fittings import (
     screen,
     side_windows,
 )
-from recast.synthetic.vehicles.loft import Body, Profile, underside, wheel_wells
-from recast.synthetic.vehicles.parameters import VehicleParameters
+from recast.synthetic.vehicles.loft import LoftedBody, LoftProfile, underside, wheel_wells
+from recast.synthetic.vehicles.parameters import VehicleSizes
 from recast.synthetic.vehicles.solid import (
     CHROME,
     CLADDING,
@@ -51,7 +51,7 @@ Span = tuple[float, float]
 BOX = Finish((0.68, 0.68, 0.67), "plastic")
 
 
-def box_truck(p: VehicleParameters, paint: Finish) -> Parts:
+def box_truck(p: VehicleSizes, paint: Finish) -> Parts:
     """Closed parts of a truck: cab, frame and load box; heights above the ground."""
     end = p.length / 2
     cab_length = p.length - p.box_length - 0.12
@@ -65,12 +65,12 @@ def box_truck(p: VehicleParameters, paint: Finish) -> Parts:
     return parts + fittings.steel_wheels(p)
 
 
-def _cab(p: VehicleParameters, paint: Finish, length: float, axle: float) -> Parts:
+def _cab(p: VehicleSizes, paint: Finish, length: float, axle: float) -> Parts:
     end = length / 2
     roof = p.height - p.roof_arch
     run = (roof - p.cowl_height) * float(np.tan(p.windscreen_rake))
     brow = p.bonnet_length + run
-    top = Profile.rounded(
+    top = LoftProfile.rounded(
         [
             (0.0, p.nose_height, 0.0),
             (p.bonnet_length, p.cowl_height, 0.12),
@@ -80,7 +80,7 @@ def _cab(p: VehicleParameters, paint: Finish, length: float, axle: float) -> Par
         ]
     )
     arch = p.wheel_radius + 0.06
-    body = Body(
+    body = LoftedBody(
         length=length,
         width=p.width,
         top=top,
@@ -122,9 +122,9 @@ def _cab(p: VehicleParameters, paint: Finish, length: float, axle: float) -> Par
     return parts + fittings.both(side)
 
 
-def _load_box(p: VehicleParameters, paint: Finish, floor: float) -> Surface:
-    top = Profile.rounded([(0.0, p.height, 0.0), (p.box_length, p.height, 0.0)])
-    body = Body(
+def _load_box(p: VehicleSizes, paint: Finish, floor: float) -> Surface:
+    top = LoftProfile.rounded([(0.0, p.height, 0.0), (p.box_length, p.height, 0.0)])
+    body = LoftedBody(
         length=p.box_length,
         width=p.width,
         top=top,
@@ -170,7 +170,7 @@ def _load_box(p: VehicleParameters, paint: Finish, floor: float) -> Surface:
     return solid.mirrored().surface()
 
 
-def _frame(p: VehicleParameters, floor: float, cab_rear: float) -> Parts:
+def _frame(p: VehicleSizes, floor: float, cab_rear: float) -> Parts:
     """Frame, bumper bar, lamps, side guards, mudguards and tank behind the cab."""
     end, half = p.length / 2, p.width / 2
     rear = p.axles[1]
@@ -205,13 +205,13 @@ def _frame(p: VehicleParameters, floor: float, cab_rear: float) -> Parts:
     return parts + fittings.both(side)
 
 
-def bus(p: VehicleParameters, paint: Finish) -> Parts:
+def bus(p: VehicleSizes, paint: Finish) -> Parts:
     """Closed parts of a city bus, doors on the right; heights above the ground."""
     end, half = p.length / 2, p.width / 2
     front, rear = p.axles
     roof = p.height - 0.16
     radius = p.wheel_radius
-    top = Profile.rounded(
+    top = LoftProfile.rounded(
         [
             (0.0, roof - 0.14, 0.0),
             (0.5, roof - 0.02, 0.5),
@@ -220,7 +220,7 @@ def bus(p: VehicleParameters, paint: Finish) -> Parts:
             (p.length, roof - 0.1 - p.roof_drop, 0.0),
         ]
     )
-    body = Body(
+    body = LoftedBody(
         length=p.length,
         width=p.width,
         top=top,
@@ -274,7 +274,7 @@ def bus(p: VehicleParameters, paint: Finish) -> Parts:
     return parts + fittings.steel_wheels(p)
 
 
-def _side_band(solid: Solid, p: VehicleParameters, high: float) -> None:
+def _side_band(solid: Solid, p: VehicleSizes, high: float) -> None:
     """The dark band of side windows, divided by thin posts."""
     end = p.length / 2
 
@@ -297,7 +297,7 @@ def _side_band(solid: Solid, p: VehicleParameters, high: float) -> None:
     seam(solid, 2, p.ground_clearance + 0.5, (-end + 0.3, end - 0.3), half=0.006)
 
 
-def _engine_grille(solid: Solid, p: VehicleParameters, end: float) -> None:
+def _engine_grille(solid: Solid, p: VehicleSizes, end: float) -> None:
     low = p.ground_clearance + 0.5
 
     def area(s: Solid) -> Array:
@@ -313,7 +313,7 @@ def _engine_grille(solid: Solid, p: VehicleParameters, end: float) -> None:
         solid.paint(slat, SEAM, over=("plastic",))
 
 
-def _bus_doors(solid: Solid, p: VehicleParameters) -> None:
+def _bus_doors(solid: Solid, p: VehicleSizes) -> None:
     """Two glazed doors on the right side: ahead of the front wheel and between the axles."""
     front, _ = p.axles
     low, high = p.ground_clearance + 0.07, p.height - 0.75

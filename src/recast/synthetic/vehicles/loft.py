@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from recast.arrays import Array
 from recast.synthetic.surface import sheet
-from recast.synthetic.vehicles.parameters import VehicleParameters
+from recast.synthetic.vehicles.parameters import VehicleSizes
 from recast.synthetic.vehicles.solid import CLADDING, TRIM, UNDERSIDE, Finish, Solid
 
 WAIST = 0.58
@@ -22,7 +22,7 @@ WAIST = 0.58
 
 
 @dataclass(frozen=True)
-class Profile:
+class LoftProfile:
     """A height over a station, piecewise linear at a few millimetres.
 
     Attributes:
@@ -34,7 +34,7 @@ class Profile:
     heights: Array
 
     @classmethod
-    def rounded(cls, corners: Sequence[tuple[float, float, float]], steps: int = 12) -> Profile:
+    def rounded(cls, corners: Sequence[tuple[float, float, float]], steps: int = 12) -> LoftProfile:
         """Each inner corner (station, height, radius) becomes a quadratic Bezier curve.
 
         The curve starts `radius` metres before the corner and ends as far after it, at most half
@@ -78,7 +78,7 @@ class Profile:
 
 
 @dataclass(frozen=True)
-class Body:
+class LoftedBody:
     """The shape of one body; heights above the ground, x from the middle of the body.
 
     Attributes:
@@ -106,7 +106,7 @@ class Body:
 
     length: float
     width: float
-    top: Profile
+    top: LoftProfile
     bottom: float
     belt: float
     rise: float = 0.04
@@ -261,14 +261,14 @@ def _round(points: Array, extents: Array, radii: Array) -> Array:
     return core + radius * offset / np.maximum(norm, 1e-12)[:, None] * (norm > 0)[:, None]
 
 
-def underside(solid: Solid, p: VehicleParameters) -> None:
+def underside(solid: Solid, p: VehicleSizes) -> None:
     """Dark floor, and unpainted sills where the vehicle has cladding."""
     sill = p.ground_clearance + (0.13 if p.cladding else 0.045)
     solid.paint(lambda s: s.z - sill, CLADDING if p.cladding else TRIM)
     solid.paint(lambda s: s.up - 0.025, UNDERSIDE)
 
 
-def wheel_wells(solid: Solid, body: Body, p: VehicleParameters) -> None:
+def wheel_wells(solid: Solid, body: LoftedBody, p: VehicleSizes) -> None:
     """Arches with cladding, opened inwards."""
     inner = p.width / 2 - p.tyre_width - 0.13
 

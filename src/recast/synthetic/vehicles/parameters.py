@@ -14,7 +14,7 @@ KINDS = ("hatchback", "sedan", "estate", "suv", "pickup", "van", "box-truck", "b
 
 
 @dataclass(frozen=True)
-class VehicleParameters:
+class VehicleSizes:
     """Sizes in metres, angles in radians; heights above the ground.
 
     Attributes:
@@ -158,7 +158,7 @@ class VehicleParameters:
 
 LIMITS: dict[str, tuple[float, float]] = {
     name: hint.__metadata__[0]
-    for name, hint in get_type_hints(VehicleParameters, include_extras=True).items()
+    for name, hint in get_type_hints(VehicleSizes, include_extras=True).items()
     if hasattr(hint, "__metadata__")
 }
 """Field -> least and greatest possible value, whatever the rest."""
@@ -225,7 +225,7 @@ def sample_kind(rng: np.random.Generator) -> str:
     return KINDS[int(rng.choice(len(KINDS), p=[KIND_SHARES[kind] for kind in KINDS]))]
 
 
-def sample_parameters(kind: str, rng: np.random.Generator) -> VehicleParameters:
+def sample_parameters(kind: str, rng: np.random.Generator) -> VehicleSizes:
     """A random vehicle of a kind; every size within what is usual for it.
 
     Raises:
@@ -255,7 +255,7 @@ def sample_parameters(kind: str, rng: np.random.Generator) -> VehicleParameters:
         # Most vans carry goods and have no windows behind the doors.
         low_windows, high_windows = (0, 0) if rng.random() < 0.6 else (1, 2)
     flags = rng.random(2)
-    return VehicleParameters(
+    return VehicleSizes(
         kind=kind,
         grille_bars=int(rng.integers(0, 5)),
         side_windows=int(rng.integers(low_windows, high_windows + 1)),

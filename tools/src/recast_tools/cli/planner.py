@@ -97,7 +97,7 @@ class Dataset:
 
 
 @dataclass(frozen=True)
-class Show:
+class PlannerShow:
     """Draw samples of a dataset: their images, and their best trajectories from above."""
 
     dataset: tyro.conf.Positional[Path]
@@ -120,7 +120,7 @@ class Show:
 
 
 @dataclass(frozen=True)
-class Train:
+class PlannerTrain:
     """Train the small planner on samples; the same command resumes, with the same result."""
 
     dataset: Path
@@ -169,7 +169,7 @@ class Train:
 
 
 @dataclass(frozen=True)
-class Export:
+class PlannerExport:
     """Write a trained planner as a folder that `--planner` takes."""
 
     training: tyro.conf.Positional[Path]
@@ -260,9 +260,9 @@ Planner = shared.group(
     {
         "vocabulary": Vocabulary,
         "dataset": Dataset,
-        "show": Show,
-        "train": Train,
-        "export": Export,
+        "show": PlannerShow,
+        "train": PlannerTrain,
+        "export": PlannerExport,
         "probe": Probe,
     },
 )

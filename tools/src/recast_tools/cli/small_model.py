@@ -13,7 +13,7 @@ from recast.cli.output import console_for
 
 
 @dataclass(frozen=True)
-class Assets:
+class RecarAssets:
     """Make 3D assets to train autoencoders on: voxels, features and pictures of vehicles."""
 
     count: int

@@ -27,13 +27,13 @@ from recast.synthetic.oracle import Oracle
 from recast.synthetic.rig import make_rig
 from recast_tools.planner_data.reconstruction import (
     RECONSTRUCTED,
-    Painter,
     Reconstruction,
+    SamplePainter,
     reconstruct,
     traced,
 )
-from recast_tools.planner_data.situation import Situation, draw_situation
-from recast_tools.planner_data.stage import Stage, make_stage
+from recast_tools.planner_data.situation import SampleSituation, draw_situation
+from recast_tools.planner_data.stage import SampleStage, make_stage
 from recast_tools.planner_training.samples import (
     CLUES,
     MEND,
@@ -133,7 +133,7 @@ def make_world_samples(out: Path, number: int, record: DatasetRecord, store: Sto
     oracle = Oracle(stage.world) if shown is None else None
     samples: list[Sample] = []
     twins: list[int] = []
-    before: Situation | None = None
+    before: SampleSituation | None = None
     while len(samples) < record.per_world:
         index = len(samples)
         rng = np.random.default_rng([seed, record.seed, index])
@@ -150,7 +150,7 @@ def make_world_samples(out: Path, number: int, record: DatasetRecord, store: Sto
 
 def _painter(
     shown: Reconstruction | None, oracle: Oracle | None, turn: int, rng: np.random.Generator
-) -> tuple[Renderer, Painter]:
+) -> tuple[Renderer, SamplePainter]:
     """What renders a sample; the variants of a reconstruction take turns."""
     if shown is None:
         assert oracle is not None
@@ -160,8 +160,12 @@ def _painter(
 
 
 def _next(
-    stage: Stage, before: Situation | None, index: int, speeds: int, rng: np.random.Generator
-) -> tuple[Situation, bool]:
+    stage: SampleStage,
+    before: SampleSituation | None,
+    index: int,
+    speeds: int,
+    rng: np.random.Generator,
+) -> tuple[SampleSituation, bool]:
     """A situation, and whether it is the one before without its vehicle."""
     second = index % 2 == 1
     if second and before is not None and before.actor is not None and rng.uniform() < _TWIN:
@@ -197,7 +201,7 @@ def _open(out: Path, record: DatasetRecord, vocabulary: Trajectories) -> None:
     write_json(path, record.model_dump(mode="json"))  # last: where it is, the vocabulary is
 
 
-def render(paint: Painter, stage: Stage, situation: Situation) -> Image:
+def render(paint: SamplePainter, stage: SampleStage, situation: SampleSituation) -> Image:
     """(128, 512, 3) uint8: the three views cropped and stitched; only what is kept is rendered."""
     poses = (
         {}
@@ -225,8 +229,8 @@ def render(paint: Painter, stage: Stage, situation: Situation) -> Image:
 
 
 def describe(
-    stage: Stage,
-    situation: Situation,
+    stage: SampleStage,
+    situation: SampleSituation,
     image: Image,
     renderer: Renderer,
     vocabulary: Trajectories,
@@ -246,7 +250,7 @@ def describe(
     )
 
 
-def _clues(stage: Stage, situation: Situation) -> NDArray[np.float32]:
+def _clues(stage: SampleStage, situation: SampleSituation) -> NDArray[np.float32]:
     """What the picture tells, see `CLUES`."""
     pose = situation.states[0, ego.POSE]
     clues = np.zeros(len(CLUES), np.float32)

@@ -37,7 +37,7 @@ from recast.scene.render import SceneRasterizer
 from recast.synthetic import World
 from recast.synthetic.oracle import Oracle
 from recast.synthetic.rig import exposure
-from recast_tools.planner_data.stage import Stage, stage_of
+from recast_tools.planner_data.stage import SampleStage, stage_of
 from recast_tools.planner_training.samples import RENDERERS, Renderer
 from recast_tools.planner_training.task import HALF_VIEWS
 
@@ -49,7 +49,7 @@ _FAR_BELOW = 1000.0
 """Metres under the road, where a target is drawn that is not placed."""
 
 
-class Painter(Protocol):
+class SamplePainter(Protocol):
     """Draws what a camera sees."""
 
     def __call__(
@@ -65,7 +65,7 @@ class Painter(Protocol):
         """
 
 
-def traced(oracle: Oracle, rng: np.random.Generator) -> Painter:
+def traced(oracle: Oracle, rng: np.random.Generator) -> SamplePainter:
     """Draws the truth, each camera with the exposure it has in the log."""
 
     def paint(
@@ -93,14 +93,14 @@ class Reconstruction:
     def __init__(self, world: World, streets: Mapping[Renderer, StreetScene]) -> None:
         known = next(iter(streets.values())).actors
         there = {key: one for key, one in world.vehicles.items() if one.parked or key in known}
-        self.stage: Stage = stage_of(replace(world, vehicles=there), (world.target,))
+        self.stage: SampleStage = stage_of(replace(world, vehicles=there), (world.target,))
         self._rasterizers = {name: SceneRasterizer(one) for name, one in streets.items()}
         # A target that stands in the log would be drawn there unless it is placed.
         away = known[world.target].trajectory.poses[0].copy()
         away[2, 3] -= _FAR_BELOW
         self._unless_placed = {world.target: away}
 
-    def painter(self, renderer: Renderer) -> Painter:
+    def painter(self, renderer: Renderer) -> SamplePainter:
         """Draws the street with a variant of the target."""
         rasterizer = self._rasterizers[renderer]
 

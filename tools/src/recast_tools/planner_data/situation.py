@@ -12,8 +12,8 @@ from recast.dynamics import state as ego
 from recast.geometry import se2
 from recast.planning import DrivingCommand
 from recast.planning.pdm.forecast import box_corners
-from recast_tools.planner_data.stage import ABOUT, PlacedActor, Stage, place_actor
-from recast_tools.planner_training.targets import FORESEEN, Obstacle, touched
+from recast_tools.planner_data.stage import ABOUT, PlacedActor, SampleStage, place_actor
+from recast_tools.planner_training.targets import FORESEEN, TargetObstacle, touched
 
 _TRIES = 60
 _TRAFFIC_SHARE = 0.35
@@ -24,7 +24,7 @@ _ROAD_AHEAD_SECONDS, _ROAD_AHEAD_LEAST = 4.5, 25.0
 
 
 @dataclass(frozen=True)
-class Situation:
+class SampleSituation:
     """One place and moment, with several speeds at which the ego may come there.
 
     Attributes:
@@ -36,23 +36,23 @@ class Situation:
     states: Array
     command: DrivingCommand
     actor: PlacedActor | None
-    others: tuple[Obstacle, ...]
-    parked: tuple[Obstacle, ...]
+    others: tuple[TargetObstacle, ...]
+    parked: tuple[TargetObstacle, ...]
 
     @property
-    def obstacles(self) -> list[Obstacle]:
+    def obstacles(self) -> list[TargetObstacle]:
         """All that can be hit."""
         placed = [] if self.actor is None else [self.actor.obstacle]
         return [*placed, *self.others, *self.parked]
 
-    def without_actor(self) -> Situation:
+    def without_actor(self) -> SampleSituation:
         """The same, but for the vehicle placed."""
         return replace(self, actor=None)
 
 
 def draw_situation(
-    stage: Stage, with_actor: bool, speeds: int, rng: np.random.Generator
-) -> Situation | None:
+    stage: SampleStage, with_actor: bool, speeds: int, rng: np.random.Generator
+) -> SampleSituation | None:
     """A situation without overlaps and with the ego on the road; None where tries were in vain.
 
     Args:
@@ -68,7 +68,7 @@ def draw_situation(
         if s is None:
             continue
         pose = _perturbed(stage, s, rng)
-        found = Situation(
+        found = SampleSituation(
             _states(stage, pose, s, actor, speeds, rng),
             stage.route.command(pose),
             actor,
@@ -80,7 +80,7 @@ def draw_situation(
     return None
 
 
-def _place(stage: Stage, actor: PlacedActor | None, rng: np.random.Generator) -> float | None:
+def _place(stage: SampleStage, actor: PlacedActor | None, rng: np.random.Generator) -> float | None:
     """Route coordinate of the rear axle, or None where the road is too short."""
     route = stage.route
     if actor is None:
@@ -92,7 +92,7 @@ def _place(stage: Stage, actor: PlacedActor | None, rng: np.random.Generator) ->
     return s if 0.0 <= s <= route.length - ahead else None
 
 
-def _perturbed(stage: Stage, s: float, rng: np.random.Generator) -> Array:
+def _perturbed(stage: SampleStage, s: float, rng: np.random.Generator) -> Array:
     """The ego's pose (3,) off the route: mostly a little, in a quarter of cases a lot."""
     if rng.uniform() < 0.25:
         aside, turn = rng.uniform(-1.0, 1.0, 2) * (_ASIDE, _TURNED)
@@ -104,7 +104,7 @@ def _perturbed(stage: Stage, s: float, rng: np.random.Generator) -> Array:
 
 
 def _states(
-    stage: Stage,
+    stage: SampleStage,
     pose: Array,
     s: float,
     actor: PlacedActor | None,
@@ -132,7 +132,7 @@ def _states(
     return make_state(np.tile(pose, (count, 1)), speed, rate, yaw_rate)
 
 
-def _traffic(stage: Stage, rng: np.random.Generator) -> tuple[Obstacle, ...]:
+def _traffic(stage: SampleStage, rng: np.random.Generator) -> tuple[TargetObstacle, ...]:
     if rng.uniform() > _TRAFFIC_SHARE:
         return ()
     times = stage.world.ego.timestamps_us
@@ -140,7 +140,7 @@ def _traffic(stage: Stage, rng: np.random.Generator) -> tuple[Obstacle, ...]:
     return tuple(stage.traffic(int(rng.integers(int(times[0]), latest + 1))))
 
 
-def _possible(stage: Stage, situation: Situation) -> bool:
+def _possible(stage: SampleStage, situation: SampleSituation) -> bool:
     """Whether the ego is on the road, and it and the actor touch nothing that stays."""
     state = situation.states[0]
     corners = box_corners(state[ego.POSE], PACIFICA)
@@ -155,7 +155,7 @@ def _possible(stage: Stage, situation: Situation) -> bool:
     return not any(situation.actor.meets(o) for o in situation.parked) if situation.actor else True
 
 
-def _without_crashes(situation: Situation) -> Situation:
+def _without_crashes(situation: SampleSituation) -> SampleSituation:
     """Without logged vehicles that would stand in the ego or run into the actor."""
     state, actor = situation.states[0], situation.actor
     kept = tuple(

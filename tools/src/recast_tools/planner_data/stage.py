@@ -12,14 +12,14 @@ from recast.geometry import se2
 from recast.logs import DrivingLog
 from recast.planning import ReferenceRoute
 from recast.planning.map_from_log import planner_map, route_blocks
-from recast.planning.pdm import LanePath
+from recast.planning.pdm import Centreline
 from recast.simulation import Advancing, CutIn, Oncoming, RoadSurface, StartSituation, Stationary
 from recast.simulation.actor_motion import DEFAULT_LANE_OFFSET, ScriptMotion, neighbour_lateral
 from recast.synthetic import world
 from recast.synthetic.populate import make_world
 from recast.synthetic.vehicles import sample_vehicle
 from recast.synthetic.world import Vehicle, World
-from recast_tools.planner_training.targets import FORESEEN, Obstacle, Road
+from recast_tools.planner_training.targets import FORESEEN, TargetObstacle, TargetRoad
 
 SECONDS = 16.0
 _ACTORS = 4
@@ -46,7 +46,7 @@ ABOUT = (0.8, 1.15)
 
 
 @dataclass(frozen=True)
-class Stage:
+class SampleStage:
     """A world to draw situations from.
 
     Attributes:
@@ -58,30 +58,30 @@ class Stage:
     log: DrivingLog
     route: ReferenceRoute
     surface: RoadSurface
-    road: Road
+    road: TargetRoad
     actors: tuple[str, ...]
 
-    def parked(self) -> list[Obstacle]:
+    def parked(self) -> list[TargetObstacle]:
         """The vehicles that are always there."""
         return [
-            Obstacle(
+            TargetObstacle(
                 key, np.tile(se2.from_se3(v.trajectory.poses[0]), (FORESEEN + 1, 1)), v.model.size
             )
             for key, v in self.world.vehicles.items()
             if v.parked
         ]
 
-    def traffic(self, timestamp_us: int) -> list[Obstacle]:
+    def traffic(self, timestamp_us: int) -> list[TargetObstacle]:
         """The vehicles that drive in the log, from a time on; the target is one of them."""
         times = timestamp_us + 100_000 * np.arange(FORESEEN + 1)
         return [
-            Obstacle(key, se2.from_se3(v.trajectory.at(times)), v.model.size)
+            TargetObstacle(key, se2.from_se3(v.trajectory.at(times)), v.model.size)
             for key, v in self.world.vehicles.items()
             if not v.parked and key not in self.actors
         ]
 
 
-def make_stage(scene: str, seed: int, seconds: float = SECONDS) -> Stage:
+def make_stage(scene: str, seed: int, seconds: float = SECONDS) -> SampleStage:
     """The stage of a scene's name and a seed, with vehicles of its own; always the same.
 
     Raises:
@@ -95,20 +95,20 @@ def make_stage(scene: str, seed: int, seconds: float = SECONDS) -> Stage:
     return stage_of(replace(world, vehicles={**world.vehicles, **added}), tuple(actors))
 
 
-def stage_of(world: World, actors: tuple[str, ...]) -> Stage:
+def stage_of(world: World, actors: tuple[str, ...]) -> SampleStage:
     """The stage of a world, of whose vehicles some are placed."""
     log = DrivingLog(world.name, {}, {}, world.ego, {}, map=world.street.map)
     route = ReferenceRoute.from_trajectory(world.ego)
     lanes = planner_map(world.street.map)
     places = np.linspace(0.0, route.length, int(2 * route.length) + 1)
-    road = Road(
+    road = TargetRoad(
         map=lanes,
         lanes=lanes.lanes_of(route_blocks(lanes, route)),
-        middle=LanePath(route.pose(places)),
+        middle=Centreline(route.pose(places)),
         speeds=np.maximum(route.logged_speed(places), _SLOWEST),
     )
     surface = RoadSurface.from_log(world.ego, route, world.street.map.ground)
-    return Stage(world, log, route, surface, road, actors)
+    return SampleStage(world, log, route, surface, road, actors)
 
 
 @dataclass(frozen=True)
@@ -126,7 +126,7 @@ class PlacedActor:
         ego_speed: speed at which the ego comes there or waits, m/s; None if it may be any.
     """
 
-    obstacle: Obstacle
+    obstacle: TargetObstacle
     speed: float
     world_from_actor: Array
     s: float
@@ -135,13 +135,13 @@ class PlacedActor:
     slowest: float
     ego_speed: float | None
 
-    def meets(self, other: Obstacle) -> bool:
+    def meets(self, other: TargetObstacle) -> bool:
         """Whether it touches another one, now or later."""
         mine = self.obstacle
         return bool(world.touching(mine.poses, mine.size, other.poses, other.size, 0.3).any())
 
 
-def place_actor(stage: Stage, rng: np.random.Generator) -> PlacedActor | None:
+def place_actor(stage: SampleStage, rng: np.random.Generator) -> PlacedActor | None:
     """A random vehicle at a random moment of a random motion around the built-in settings.
 
     Some are played as a run plays them, from a start at about the log's speed, the ego braking
@@ -196,7 +196,7 @@ def place_actor(stage: Stage, rng: np.random.Generator) -> PlacedActor | None:
         gap = float(rng.uniform(1.5 if in_lane else -_BESIDE, 32.0))
     poses = script[:, :3]
     return PlacedActor(
-        Obstacle(key, poses, size),
+        TargetObstacle(key, poses, size),
         float(script[0, 3]),
         stage.surface.actor_poses(poses, size)[0],
         float(s[0]),

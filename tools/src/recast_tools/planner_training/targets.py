@@ -23,7 +23,7 @@ from recast.geometry.boxes import bev_touching
 from recast.planning.gtrs.head import METRICS
 from recast.planning.gtrs.scores import Trajectories
 from recast.planning.map import PlannerMap
-from recast.planning.pdm import LanePath
+from recast.planning.pdm import Centreline
 from recast.planning.pdm.areas import ego_areas
 from recast.planning.pdm.forecast import box_centres, box_corners
 from recast.planning.pdm.scorer import direction_compliance
@@ -53,7 +53,7 @@ _FULL = 255
 
 
 @dataclass(frozen=True)
-class Road:
+class TargetRoad:
     """Where the ego shall go.
 
     Attributes:
@@ -65,12 +65,12 @@ class Road:
 
     map: PlannerMap
     lanes: tuple[str, ...]
-    middle: LanePath
+    middle: Centreline
     speeds: Array
 
 
 @dataclass(frozen=True)
-class Targets:
+class TrajectoryTargets:
     """Scores of a vocabulary in one situation.
 
     Attributes:
@@ -90,10 +90,10 @@ class Targets:
 def score_vocabulary(
     vocabulary: Trajectories,
     state: Array,
-    road: Road,
-    obstacles: Sequence[Obstacle],
+    road: TargetRoad,
+    obstacles: Sequence[TargetObstacle],
     vehicle: VehicleParameters = PACIFICA,
-) -> Targets:
+) -> TrajectoryTargets:
     """Drive every trajectory with the LQR tracker and score it by PDM's rules.
 
     Obstacles move as they truly will, not at constant velocity. Beyond PDM: touching an obstacle
@@ -131,7 +131,7 @@ def score_vocabulary(
     progress = np.clip(1.0 - missed, 0.0, 1.0)
     weighted = 5 * ttc + 5 * progress + 2 * keeping + 2 * comfort
     scores = np.stack([safe, drivable, ttc, progress, direction, keeping])
-    return Targets(np.rint(_FULL * scores).astype(np.uint8), allowed * weighted / 14)
+    return TrajectoryTargets(np.rint(_FULL * scores).astype(np.uint8), allowed * weighted / 14)
 
 
 def unpacked(scores: NDArray[np.uint8]) -> NDArray[np.float32]:
@@ -139,18 +139,18 @@ def unpacked(scores: NDArray[np.uint8]) -> NDArray[np.float32]:
     return np.asarray(scores / np.float32(_FULL), np.float32)
 
 
-def touched(state: Array, obstacles: Sequence[Obstacle], vehicle: VehicleParameters) -> bool:
+def touched(state: Array, obstacles: Sequence[TargetObstacle], vehicle: VehicleParameters) -> bool:
     """Whether the ego (11,) touches an obstacle now, the margins counted in."""
     here = box_centres(state[ego.POSE], vehicle)
     size = (vehicle.length, vehicle.width)
     return any(bool(bev_touching(here, size, o.poses[0], o.size)) for o in map(_grown, obstacles))
 
 
-def _grown(obstacle: Obstacle) -> Obstacle:
+def _grown(obstacle: TargetObstacle) -> TargetObstacle:
     return replace(obstacle, size=obstacle.size[:2] + 2 * np.array([_ALONG, _ACROSS]))
 
 
-def _wanted_metres(road: Road, state: Array) -> float:
+def _wanted_metres(road: TargetRoad, state: Array) -> float:
     """What a calm driver covers within the trajectory: towards the wanted speeds."""
     place, speed, driven = float(road.middle.project(state)), float(state[ego.VX]), 0.0
     for _ in range(WAYPOINTS):
@@ -161,7 +161,11 @@ def _wanted_metres(road: Road, state: Array) -> float:
 
 
 def _lane_keeping(
-    centres: Array, in_intersection: NDArray[np.bool_], middle: LanePath, begin: Array, ends: Array
+    centres: Array,
+    in_intersection: NDArray[np.bool_],
+    middle: Centreline,
+    begin: Array,
+    ends: Array,
 ) -> Array:
     # The part beside which it all happens: the lookup's cost grows with the path.
     first, last = min(begin, ends.min()), max(begin, ends.max())
@@ -179,7 +183,7 @@ def _lane_keeping(
 
 
 @dataclass(frozen=True)
-class Obstacle:
+class TargetObstacle:
     """A road user whose future is known.
 
     Attributes:
@@ -194,7 +198,7 @@ class Obstacle:
 
 
 def collisions(
-    states: Array, obstacles: Sequence[Obstacle], vehicle: VehicleParameters, dt: float = 0.1
+    states: Array, obstacles: Sequence[TargetObstacle], vehicle: VehicleParameters, dt: float = 0.1
 ) -> tuple[Array, Array]:
     """NC and TTC (P,), 0 or 1, of simulated states (P, 41, 11).
 
@@ -235,7 +239,7 @@ def collisions(
     return safe, clear
 
 
-def _near(boxes: Array, there: Array, obstacle: Obstacle, vehicle: VehicleParameters) -> bool:
+def _near(boxes: Array, there: Array, obstacle: TargetObstacle, vehicle: VehicleParameters) -> bool:
     """Whether any box comes close to an obstacle's at all."""
     reach = (np.hypot(vehicle.length, vehicle.width) + np.hypot(*obstacle.size[:2])) / 2
     low, high = boxes[..., :2].min(axis=(0, 1, 2)), boxes[..., :2].max(axis=(0, 1, 2))

@@ -20,10 +20,10 @@ from recast.dynamics.comfort import comfortable_plans
 from recast.planning.gtrs import (
     METRICS,
     BackboneConfig,
+    BackboneStage,
     GtrsConfig,
     GtrsModel,
     ScoreWeights,
-    StageConfig,
     network_input,
     new_model,
     training_loss,
@@ -236,8 +236,8 @@ class ClueReader(nn.Module):
         return seen + 2.0 * vehicle + misses[:, 5:].mean()
 
 
-def _stage(blocks: int, conv_channels: int, out_channels: int) -> StageConfig:
-    return StageConfig(blocks=blocks, conv_channels=conv_channels, out_channels=out_channels)
+def _stage(blocks: int, conv_channels: int, out_channels: int) -> BackboneStage:
+    return BackboneStage(blocks=blocks, conv_channels=conv_channels, out_channels=out_channels)
 
 
 MINI = GtrsConfig(
