@@ -82,4 +82,4 @@ def test_a_key_of_none_and_of_several(store: Store, capsys: pytest.CaptureFixtur
     for key in ("zzz", ""):
         assert main(["store", "why", str(store.root), key]) == 2
         [line] = capsys.readouterr().err.splitlines()
-        assert "no artefact has it" in line
+        assert "no artefact has this key" in line

@@ -82,7 +82,7 @@ def test_runs_of_different_logs_are_compared_and_told(runs: list[Path], tmp_path
         (("--compare", "ten", "empty", "--out", "OUT"), "empty/run.json"),
         (("--compare", "ten", "eight", "--out", "FULL"), "not part of a report"),
         (("ten", "eight"), "add --compare"),
-        ((), "run folder: 0 given"),
+        ((), "run folder: 0 are given"),
         (("gone",), "gone/run.json"),
     ],
 )

@@ -22,11 +22,20 @@ class Message(NamedTuple):
 
 
 def messages(folder: Path = SOURCE) -> Iterator[Message]:
-    """Texts of two words and more in the code below `folder`, docstrings left out."""
+    """Texts of two words and more in the code below `folder`.
+
+    Docstrings are left out, but for those of commands and their options, which are the help.
+    """
     for path in sorted(folder.rglob("*.py")):
         tree = ast.parse(path.read_text(encoding="utf-8"))
         # Constants that stand alone are docstrings, those of attributes too.
-        silent = {id(node.value) for node in ast.walk(tree) if isinstance(node, ast.Expr)}
+        classes = [node for node in ast.walk(tree) if isinstance(node, ast.ClassDef)]
+        shown = {id(one) for kind in classes for one in kind.body if "cli" in path.parts}
+        silent = {
+            id(node.value)
+            for node in ast.walk(tree)
+            if isinstance(node, ast.Expr) and id(node) not in shown
+        }
         for node in ast.walk(tree):
             if not isinstance(node, ast.Constant | ast.JoinedStr) or id(node) in silent:
                 continue

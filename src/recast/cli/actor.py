@@ -84,14 +84,14 @@ class Generate:
     """Generate vehicles from RGBA crops with an image-to-3D model, without a log."""
 
     crop: tyro.conf.Positional[tuple[Path, ...]]
-    """Pictures with alpha, each of another vehicle; several are generated in one batch."""
+    """Images with alpha, each of another vehicle; several are generated in one batch."""
     model: Path
     """Model folder in the published layout (pipeline.json, ckpts/), recast-mini (in the package)
     or trellis (recast weights)."""
     out: Path
     """New folder for the vehicles."""
     views: tuple[Path, ...] = ()
-    """Further pictures of the same vehicle, in the order front, rear, left, right."""
+    """Further images of the same vehicle, in the order front, rear, left, right."""
     seed: Annotated[int, shared.SEED] = 0
     steps: Annotated[int | None, SAMPLING_STEPS] = None
     cfg: Annotated[
@@ -148,13 +148,13 @@ class Generate:
 
 @dataclass(frozen=True)
 class Turntable:
-    """Film one turn of an actor; a refined actor's seen, mirrored and invented surfaces are shown
-    below."""
+    """Write a video of one turn of an actor; a refined actor's seen, mirrored and invented surfaces
+    are shown below."""
 
     actor: tyro.conf.Positional[Path]
     """Actor folder, such as RUN/actors/replaced/actor."""
     out: Path
-    """Film to write, such as car.mp4."""
+    """Video to write, such as car.mp4."""
 
     def __call__(self) -> None:
         from recast.actors import load_actor
@@ -171,7 +171,7 @@ class ActorShow:
     actor: tyro.conf.Positional[Path]
     """Actor folder, such as RUN/actors/replaced/actor."""
     out: Annotated[
-        Path | None, shared.option("New picture (PNG).", "ACTOR.png, beside the folder")
+        Path | None, shared.option("Image file to write (PNG).", "ACTOR.png, beside the folder")
     ] = None
 
     def __call__(self) -> None:

@@ -114,7 +114,7 @@ class ClosedLoop(_Grid):
     motion: Annotated[Lists, _motions("cut-in, oncoming and stationary")] = ()
     restorer: Annotated[str | None, shared.RESTORER] = None
     films: bool = False
-    """Render and film every step of all cameras, not only what the planner sees."""
+    """Render every step of all cameras and write videos, not only what the planner sees."""
     plan_timeout: Annotated[
         float | None,
         shared.option("Time limit of one plan in seconds; a slower plan fails its rollout."),

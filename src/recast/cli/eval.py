@@ -1,4 +1,4 @@
-"""`recast eval`: judge parts against pictures that they have not seen."""
+"""`recast eval`: judge parts against images that they have not seen."""
 
 from __future__ import annotations
 
@@ -16,15 +16,15 @@ if TYPE_CHECKING:
 
 
 PERTURBED = shared.option(
-    "Perturbation file for perturbed input pictures, or the word default.",
-    "clean pictures only",
+    "Perturbation file for perturbed input images, or the word default.",
+    "clean images only",
     metavar="PATH",
 )
 
 
 @dataclass(frozen=True)
 class EvalActor:
-    """Make vehicles from one or several pictures and compare them with held-out pictures; or make
+    """Make vehicles from one or several images and compare them with held-out images; or make
     and refine the vehicles of a log's tracks and compare them with the log's held-out images."""
 
     model: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="MODEL")]
@@ -33,7 +33,7 @@ class EvalActor:
     set: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="SET")]
     """Folder of real crops (ID/input_views, ID/reserved_views), a vehicle set, or a log folder."""
     out: Path
-    """New folder for metrics.json and a picture of every vehicle."""
+    """New folder for metrics.json and a image of every vehicle."""
     scene: Annotated[
         Path | None, shared.option("Scene folder of the log, with models of the tracks.")
     ] = None
@@ -124,7 +124,7 @@ class EvalActor:
 
 @dataclass(frozen=True)
 class EvalGeneration:
-    """Compare models that make vehicles from one picture, on clean and perturbed pictures."""
+    """Compare models that make vehicles from one image, on clean and perturbed images."""
 
     set: Path
     """Vehicle set (its held-out identities are used), or a folder of real crops."""
@@ -157,7 +157,7 @@ class EvalGeneration:
     workers: Annotated[int, shared.WORKERS] = 1
     samples: Annotated[int, shared.SAMPLES] = 200_000
     shown: int = 40
-    """Number of vehicles on the picture sheets, the first by id."""
+    """Number of vehicles on the image sheets, the first by id."""
     lpips_weights: Annotated[Path | None, shared.LPIPS_WEIGHTS] = None
     clip: Annotated[Path | None, shared.CLIP] = None
     dino: Annotated[Path | None, shared.DINO] = None
@@ -235,7 +235,7 @@ class EvalGeneration:
 
 @dataclass(frozen=True)
 class EvalInputs:
-    """Write the inputs for generators that run elsewhere: the input picture of each vehicle, the
+    """Write the inputs for generators that run elsewhere: the input image of each vehicle, the
     cameras of its target views, and a study file with the rows of the paper."""
 
     set: tyro.conf.Positional[Path]
@@ -273,7 +273,7 @@ def _perturbations(what: str | None) -> PerturbationConfig | None:
 
 Eval = shared.group(
     "eval",
-    "Evaluate generators of vehicles on held-out pictures; recast-bridges scores rollouts.",
+    "Evaluate generators of vehicles on held-out images; recast-bridges scores rollouts.",
     {
         "actor": EvalActor,
         "generation": EvalGeneration,

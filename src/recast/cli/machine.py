@@ -33,7 +33,7 @@ class Doctor:
 
 @dataclass(frozen=True)
 class WeightsList:
-    """List the published weights that recast can fetch: use, size, licence, commit."""
+    """List the published weights that recast can download: use, size, licence, commit."""
 
     json: Annotated[bool, JSON] = False
 
@@ -50,7 +50,7 @@ class WeightsList:
 
 @dataclass(frozen=True)
 class Get:
-    """Fetch weights over the network; weights that are here already are not fetched again.
+    """Download weights over the network; weights that are present are not downloaded again.
 
     An interrupted download resumes. The variable RECAST_WEIGHTS names the folder of the weights,
     RECAST_WEIGHTS_MIRROR or HF_ENDPOINT a mirror.
@@ -69,10 +69,10 @@ class Get:
 
 @dataclass(frozen=True)
 class WeightsVerify:
-    """Read every byte of fetched weights and compare it with the record of the download."""
+    """Read every byte of downloaded weights and compare it with the record of the download."""
 
     name: Annotated[tyro.conf.Positional[str | None], _NAME] = None
-    """Name of fetched weights (default: all)."""
+    """Name of downloaded weights (default: all)."""
 
     def __call__(self) -> None:
         from recast.cli.rows.machine import verify_weights
@@ -82,10 +82,10 @@ class WeightsVerify:
 
 @dataclass(frozen=True)
 class Path:
-    """Print the folder or file of fetched weights."""
+    """Print the folder or file of downloaded weights."""
 
     name: Annotated[tyro.conf.Positional[str], _NAME]
-    """Name of fetched weights."""
+    """Name of downloaded weights."""
 
     def __call__(self) -> None:
         from recast.weights import published

@@ -152,14 +152,14 @@ def _system_errors() -> Iterator[None]:
             yield
     except (SystemExit, GeneratorExit) as error:
         problem = f"code of a plug-in ended the program ({type(error).__name__}: {error})"
-        mend = "raise an exception that says what is wrong; see --verbose for its place"
+        mend = "raise an exception that says what is wrong; run it with --verbose to see its place"
         raise InputError("command", "exit", problem, mend) from error
     except BrokenPipeError:
         raise
     except OSError as error:
         where = error.filename if isinstance(error.filename, str) else "system"
         reason = error.strerror or str(error) or type(error).__name__
-        mend = "see --verbose for where it comes from"
+        mend = "run it with --verbose to see where it comes from"
         raise InputError(where, type(error).__name__, reason, mend) from error
 
 

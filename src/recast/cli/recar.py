@@ -43,9 +43,9 @@ class RecarTargets:
     """Number of further seeds to try if a structure is empty or too large."""
     max_voxels: Annotated[int | None, MAX_VOXELS] = None
     filter: Literal["agreement", "aesthetic", "none"] = "agreement"
-    """Quality filter: agreement with the pictures, the Improved Aesthetic Predictor, or none."""
+    """Quality filter: agreement with the images, the Improved Aesthetic Predictor, or none."""
     heading: Literal["any", "+x"] = "any"
-    """Heading of the model's vehicles: any (found from the pictures) or +x (models trained so)."""
+    """Heading of the model's vehicles: any (found from the images) or +x (models trained so)."""
     threshold: Annotated[
         float | None,
         shared.option(
@@ -140,11 +140,11 @@ class RecarSynth:
     """Set folder; the same command resumes, and a set of the same settings grows."""
     seed: Annotated[int, shared.SEED] = 0
     views: int = 30
-    """Number of pictures of each vehicle, at regular azimuths; the first shows its front."""
+    """Number of images of each vehicle, at regular azimuths; the first shows its front."""
     width: int = 1200
-    """Width of the pictures in pixels."""
+    """Width of the images in pixels."""
     height: int = 800
-    """Height of the pictures in pixels."""
+    """Height of the images in pixels."""
     kinds: Annotated[
         tuple[str, ...],
         shared.option(
@@ -168,7 +168,7 @@ class RecarSynth:
         ),
     ] = None
     licence: str = "CC0-1.0"
-    """Licence of the pictures, written to set.json."""
+    """Licence of the images, written to set.json."""
     held_out: float = 0.05
     """Share of the vehicles that is held out of training (0 to 1)."""
     workers: Annotated[int, shared.WORKERS] = 1
@@ -203,15 +203,13 @@ class RecarSynth:
 
 @dataclass(frozen=True)
 class Stats:
-    """Count the vehicles of a set, check its pictures, and draw its figure."""
+    """Count the vehicles of a set, check its images, and draw its figure."""
 
     set: tyro.conf.Positional[Path]
     """Set folder, or a folder of shards."""
     out: Annotated[
         Path | None,
-        shared.option(
-            "Folder for dataset.png, views.png, colours.png and types.png.", "no pictures"
-        ),
+        shared.option("Folder for dataset.png, views.png, colours.png and types.png.", "no images"),
     ] = None
     decode: bool = False
     """Check every pixel instead of every header (minutes to hours)."""

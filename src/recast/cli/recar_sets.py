@@ -42,9 +42,9 @@ class Ingest:
         ),
     ] = None
     width: int = 1200
-    """Width of the set's pictures in pixels."""
+    """Width of the set's images in pixels."""
     height: int = 800
-    """Height of the set's pictures in pixels."""
+    """Height of the set's images in pixels."""
     clockwise: bool = False
     """Read the photographs as clockwise around the vehicle, seen from above."""
     elevation: Annotated[
@@ -55,10 +55,10 @@ class Ingest:
         float | None, shared.option("Measured horizontal field of view in degrees.", "unknown")
     ] = None
     remover: str = "grabcut"
-    """Method that removes the background of opaque pictures: grabcut, a folder with grounding-dino
+    """Method that removes the background of opaque images: grabcut, a folder with grounding-dino
     and sam, or none."""
     duplicate_bits: int = 20
-    """Maximum number of different hash bits (of 255) between two pictures that count as the
+    """Maximum number of different hash bits (of 255) between two images that count as the
     same."""
     split_seed: int = 0
     """Seed of the split into training and held-out vehicles."""
@@ -210,12 +210,12 @@ class Pack:
 
 @dataclass(frozen=True)
 class Perturb:
-    """Draw all perturbations of Stage II on one picture, from weak to strong."""
+    """Draw all perturbations of Stage II on one image, from weak to strong."""
 
     crop: tyro.conf.Positional[Path]
-    """Picture of one cut-out vehicle, PNG with alpha."""
+    """Image of one cut-out vehicle, PNG with alpha."""
     out: Path
-    """Picture to write (PNG)."""
+    """Image to write (PNG)."""
     config: Annotated[
         Path | None, shared.option("JSON file with changes to the perturbations.", "none")
     ] = None
@@ -255,7 +255,7 @@ class Screen:
     set: Annotated[
         Path | None,
         shared.option(
-            "Vehicle set of the cache, in folders or shards; its pictures are shown larger."
+            "Vehicle set of the cache, in folders or shards; its images are shown larger."
         ),
     ] = None
     port: int = 8765

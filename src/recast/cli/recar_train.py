@@ -24,13 +24,13 @@ class RecarTrain:
     targets: Path
     """Cache of pseudo-targets, from `recast recar targets`."""
     set: Path
-    """Vehicle set with the pictures, in folders or shards; or a folder of training assets."""
+    """Vehicle set with the images, in folders or shards; or a folder of training assets."""
     out: Path
     """Folder of the new model; the same command resumes."""
     stage: Annotated[
         Literal["1", "2", "base", "base-2", "mini-1", "mini-2"] | None,
         shared.option(
-            "Stage of the paper: 1 (vehicles) or 2 (perturbed pictures); of the small model: base, "
+            "Stage of the paper: 1 (vehicles) or 2 (perturbed images); of the small model: base, "
             "base-2, mini-1 or mini-2."
         ),
     ] = None

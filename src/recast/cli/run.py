@@ -139,7 +139,7 @@ class Report:
             raise InputError(
                 "RUNS",
                 "run folder",
-                f"{len(self.runs)} given",
+                f"{len(self.runs)} are given",
                 "name one run, or add --compare to set several side by side",
             )
         if self.compare and self.out is None:

@@ -39,7 +39,7 @@ class ScenarioShow:
     """Log folder."""
     motion: Annotated[shared.Names, shared.required(shared.MOTION_HELP)]
     out: Path = Path("scenario.png")
-    """Picture to write (PNG)."""
+    """Image to write (PNG)."""
     track: Annotated[
         str | None,
         shared.option(shared.TRACK_HELP, "target of a synthetic log, else the first track"),

@@ -51,7 +51,7 @@ class SceneTrain:
 
 @dataclass(frozen=True)
 class Eval:
-    """Score a scene on its held-out images, and write pictures of them.
+    """Score a scene on its held-out images, and write images of them.
 
     Scores: PSNR, SSIM and, with weights, LPIPS of whole images and inside the boxes of moving
     objects; error of the depth at LiDAR points.

@@ -98,7 +98,7 @@ def make_rig(width: int = 480, height: int = 320, cameras: tuple[str, ...] | Non
             choice = f"choose one of {', '.join(CAMERAS)}"
             raise InputError("rig", f"camera {name}", "does not exist", choice)
     if not names or len(set(names)) < len(names):
-        problem = "names none" if not names else f"names one twice: {', '.join(names)}"
+        problem = "names no camera" if not names else f"names a camera twice: {', '.join(names)}"
         raise InputError("rig", "cameras", problem, f"choose one of {', '.join(CAMERAS)}")
     focal = width / (2 * np.tan(_HORIZONTAL_FIELD / 2))
     camera = PinholeCamera(width, height, focal, focal, width / 2, height / 2)

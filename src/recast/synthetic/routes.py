@@ -289,6 +289,6 @@ def ego_drive(street: Street, seconds: Array, rng: np.random.Generator) -> EgoDr
     drive = EgoDrive(path, profile, start, seconds)
     end = float(drive.place(seconds[-1]))
     if end + _ROAD_AHEAD > path.length:
-        problem = f"has {path.length:.0f} m where {end + _ROAD_AHEAD:.0f} m are needed"
+        problem = f"has {path.length:.0f} m, but {end + _ROAD_AHEAD:.0f} m are needed"
         raise InputError(street.kind, "ego_route", problem, "ask for fewer seconds")
     return drive

@@ -34,7 +34,7 @@ from recast.weights.fetch import fetch, is_whole
 from recast.weights.fetched import is_fetched, read_weights_record, verify
 
 _OPTIONAL = {
-    "recast-bridges": ("other programs' simulators, scores, streets and files", BRIDGES),
+    "recast-bridges": ("other programs' simulators, scores, trained streets and files", BRIDGES),
     "embreex": ("synthetic worlds, the demo", "pip install 'recast-sim[synthetic]'"),
     "mitsuba": ("better light in synthetic worlds", "pip install 'recast-sim[mitsuba]'"),
     "gsplat": ("rasterize on CUDA", "pip install 'recast-sim[cuda]'"),
@@ -209,7 +209,7 @@ def weights_table() -> Table:
         if here:
             record = read_weights_record(weights_folder(name))
             lines += [f"{where} {commit}" for where, commit in record.revisions.items()]
-        first = "\n".join((name, *weights.options, "here" if here else "not here"))
+        first = "\n".join((name, *weights.options, "here" if here else "not downloaded"))
         table.add_row(escape(first), escape("\n".join(lines)), f"{weights.gigabytes:.3g}")
     return table
 
@@ -255,7 +255,7 @@ def get_weights(name: str, accepted: bool, console: Console) -> None:
 
 
 def verify_weights(name: str | None, console: Console) -> None:
-    """Read every byte of fetched weights.
+    """Read every byte of downloaded weights.
 
     Args:
         name: of an entry; None for all that are here.
@@ -270,7 +270,7 @@ def verify_weights(name: str | None, console: Console) -> None:
         try:
             if not is_fetched(one):
                 get = f"run `recast weights get {one}`"
-                raise InputError("weights", one, "are not here", get)
+                raise InputError("weights", one, "are not downloaded", get)
             verify(folder, read_weights_record(folder))
             told = _told(weights, "as downloaded")
         except InputError as error:

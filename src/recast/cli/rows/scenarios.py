@@ -1,4 +1,4 @@
-"""Scenarios on a log, looked at before anything runs: a picture, tables and rows."""
+"""Scenarios on a log, looked at before anything runs: a image, tables and rows."""
 
 from __future__ import annotations
 
@@ -137,6 +137,6 @@ def target_of(log: DrivingLog) -> str:
         InputError: the log has no tracks.
     """
     if not log.tracks:
-        raise InputError(log.name, "tracks", "there are none", "use a log with labelled vehicles")
+        raise InputError(log.name, "tracks", "are missing", "use a log with labelled vehicles")
     target = log.metadata.get("target", "")
     return target if target in log.tracks else next(iter(log.tracks))

@@ -58,8 +58,8 @@ def explain_artefact(place: str, key: str, console: Console) -> None:
     store = opened_store(place)
     found = [one for one in store.artefacts() if key and one.record.key.startswith(key)]
     if len(found) != 1:
-        problem = f"{len(found)} artefacts have it" if found else "no artefact has it"
-        raise InputError(place, f"key {key}", problem, "see recast store list")
+        problem = f"{len(found)} artefacts have this key" if found else "no artefact has this key"
+        raise InputError(place, f"key {key}", problem, "give a whole key, see recast store list")
     console.print(_tree(store, found[0]))
 
 
@@ -117,7 +117,7 @@ def opened_store(place: str) -> Store:
         InputError: it is elsewhere, or is none.
     """
     if "://" in place or not (Path(place) / "store.json").is_file():
-        raise InputError(place, "store", "is not a local store", "name the folder of one")
+        raise InputError(place, "store", "is not a local store", "name the folder of a store")
     return Store(place)
 
 

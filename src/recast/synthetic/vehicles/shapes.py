@@ -212,7 +212,7 @@ def read_mesh(
     size = high - low
     if not (np.all(size >= SHORTEST) and np.all(size <= LONGEST)):
         shown = " x ".join(f"{value:.3g}" for value in size)
-        mend = f"give length; {SHORTEST} to {LONGEST} m a side"
+        mend = f"give a length, so that each side has {SHORTEST} to {LONGEST} m"
         raise InputError(path, "size", f"{shown} m is impossible", mend)
     vertices = vertices - (low + high) / 2
     surface = Surface(
@@ -248,7 +248,9 @@ def _load(path: Path, suffix: str) -> tuple[Array, NDArray[np.int32], NDArray[np
         raise InputError(path, "mesh", problem, f"reduce it to {3 * MOST_TRIANGLES}")
     faces = np.asarray(mesh.faces)
     if faces.shape != (len(faces), 3) or mesh.vertices.shape != (len(mesh.vertices), 3):
-        raise InputError(path, "mesh", "is not of triangles in space", "export it again")
+        raise InputError(
+            path, "mesh", "does not consist of triangles in three dimensions", "export it again"
+        )
     if faces.min() < 0 or faces.max() >= len(mesh.vertices):
         problem = f"names vertex {faces.max()} of {len(mesh.vertices)}"
         raise InputError(path, "faces", problem, "export it again")

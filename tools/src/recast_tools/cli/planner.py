@@ -103,7 +103,7 @@ class PlannerShow:
     dataset: tyro.conf.Positional[Path]
     """Folder of `recast planner dataset`."""
     out: Path
-    """Picture to write (PNG)."""
+    """Image to write (PNG)."""
     count: int = 12
     """Number of samples."""
     first: int = 0

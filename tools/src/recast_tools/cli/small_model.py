@@ -14,7 +14,7 @@ from recast.cli.output import console_for
 
 @dataclass(frozen=True)
 class RecarAssets:
-    """Make 3D assets to train autoencoders on: voxels, features and pictures of vehicles."""
+    """Make 3D assets to train autoencoders on: voxels, features and images of vehicles."""
 
     count: int
     """Number of assets; a folder of the same settings grows."""
