@@ -110,7 +110,7 @@ def test_what_takes_no_place_says_so(names: dict[str, Any]) -> None:
     with pytest.raises(InputError, match="track 9: is not in the log"):
         recast.make_actor(names["log"], "9")
     unknown = {**vars(names["rollout"]), "origin": None}
-    with pytest.raises(InputError, match="map: is not kept"):
+    with pytest.raises(InputError, match="map: is not stored"):
         recast.score(recast.Rollout(**unknown))
     with pytest.raises(AttributeError, match="nonesuch"):
         _ = recast.nonesuch

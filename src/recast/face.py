@@ -206,8 +206,8 @@ def score(rollout: Rollout, map: HdMap | DrivingLog | None = None) -> RolloutMet
         raise InputError(
             rollout.name,
             "map",
-            "is not kept with a rollout",
-            "give that of its log",
+            "is not stored in a rollout",
+            "give the log of the rollout, or its map",
         )
     return rollout_metrics(rollout, map)
 

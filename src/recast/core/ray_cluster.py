@@ -51,7 +51,10 @@ def on_ray(address: str, workers: int, gpu: bool = False) -> WorkerPool:
         except (ConnectionError, RuntimeError, ValueError) as error:
             reason = str(error).strip().splitlines()[0]
             raise InputError(
-                "`ray`", address, f"no cluster answers ({reason[:80]})", "start one: ray start"
+                "`ray`",
+                address,
+                f"no cluster answers ({reason[:80]})",
+                "start one: ray start --head",
             ) from None
         try:
             # workers of the cluster import recast by themselves
@@ -71,8 +74,8 @@ def on_ray(address: str, workers: int, gpu: bool = False) -> WorkerPool:
             raise InputError(
                 "`ray`",
                 address,
-                f"a worker is gone ({str(error).splitlines()[-1][:80]})",
-                f"run again; {finished} stay",
+                f"a worker has stopped ({str(error).splitlines()[-1][:80]})",
+                f"run again; {finished} are kept",
             ) from None
         finally:
             if ours:

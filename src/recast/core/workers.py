@@ -192,7 +192,7 @@ def _cancelling(executor: ProcessPoolExecutor, finished: str) -> Iterator[None]:
             "`workers`",
             "process",
             "ended, perhaps out of memory",
-            f"run again with fewer; {finished} stay",
+            f"run again with fewer workers; {finished} are kept",
         ) from None
     except BaseException:
         executor.shutdown(wait=False, cancel_futures=True)

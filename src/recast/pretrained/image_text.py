@@ -211,7 +211,9 @@ def checked_scores(scores: Any, images: int, texts: int, name: str) -> Array:
         problem = "are not all in [0, 1]"
     else:
         return found
-    raise InputError(name, "scores", problem, "see recast.pretrained.VqaScorer")
+    raise InputError(
+        name, "scores", problem, "return an array (images, texts) of values from 0 to 1"
+    )
 
 
 class T2vMetrics:

@@ -187,7 +187,9 @@ def _planned(source: WeightsSource, name: str, file: transfer.RemoteFile) -> tra
     pinned = source.sha256.get(name, file.sha256)
     if file.sha256 not in (None, pinned):
         problem = f"have SHA-256 {file.sha256} on the server, recast pins {pinned}"
-        raise InputError(file.address, "bytes", problem, "check the mirror; nothing was downloaded")
+        raise InputError(
+            file.address, "bytes", problem, "check the mirror if one is set; nothing was downloaded"
+        )
     path = f"{source.into}/{name}" if source.into else name
     return file.model_copy(update={"path": path, "sha256": pinned})
 

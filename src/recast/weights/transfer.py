@@ -104,6 +104,9 @@ def repository_files(source: WeightsSource) -> tuple[str, dict[str, RemoteFile]]
     return listed_files(source, actual(address), listing)
 
 
+_ELSEWHERE = "check the mirror if one is set, or try again later"
+
+
 def listed_files(
     source: WeightsSource, where: str, listing: bytes
 ) -> tuple[str, dict[str, RemoteFile]]:
@@ -117,10 +120,10 @@ def listed_files(
         InputError: the answer is of another commit, or not a listing.
     """
     value = files.parse_json(where, listing)
-    found = validated(where, value, _Repository, "check the mirror")
+    found = validated(where, value, _Repository, _ELSEWHERE)
     if source.revision not in (None, found.sha):
         problem = f"answers with commit {found.sha}, not {source.revision}"
-        raise InputError(where, "revision", problem, "check the mirror")
+        raise InputError(where, "revision", problem, _ELSEWHERE)
     listed = {
         one.rfilename: RemoteFile(
             address=source.address(one.rfilename, found.sha),
@@ -193,7 +196,7 @@ def download(file: RemoteFile, target: Path, step: Step) -> FetchedFile:
         problem = _difference(file, found, part)
         if problem:
             part.unlink()
-            mend = "try again; if it stays so, check the mirror"
+            mend = "try again; if it fails again, check the mirror if one is set"
             raise InputError(file.address, "bytes", problem, mend)
         part.replace(target)
     return found
