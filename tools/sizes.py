@@ -18,7 +18,6 @@ def main(folders: Sequence[str]) -> None:
     print("| package | lines | files | median | largest |\n|---|--:|--:|--:|--:|")
     for folder in map(Path, folders):
         for package in sorted(p for p in folder.iterdir() if p.is_dir()):
-            # Files of a few lines only name what others hold.
             if files := sorted(package.rglob("*.py")):
                 print(_row(f"{folder.name}/{package.name}", files))
         print(_row(f"**{folder}**", sorted(folder.rglob("*.py"))))

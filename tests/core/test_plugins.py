@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import sys
 from collections.abc import Iterator
 from dataclasses import replace
@@ -146,6 +147,21 @@ def test_a_kind_whose_code_is_the_part() -> None:
     assert pots.resolve(len) is len
     with pytest.raises(InputError, match="made int, which lacks __call__"):
         pots.resolve("cup_shelf:value")
+
+
+@pytest.mark.parametrize("module", ["cup_shelf", "recast_mine"])
+def test_torch_is_there_before_foreign_code(
+    module: str, here: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (here / f"{module}.py").write_text(MODULE)
+    imported: list[str] = []
+    real = importlib.import_module
+    monkeypatch.setattr(
+        importlib, "import_module", lambda name: imported.append(name) or real(name)
+    )
+    CUPS.resolve(f"{module}:Cup")
+    assert imported[:2] == ["torch", module], "what it does to torch is put back"
+    sys.modules.pop("recast_mine", None)
 
 
 def test_experimental_parts_are_marked() -> None:

@@ -7,8 +7,8 @@ from collections import defaultdict
 
 from support.doc_blocks import REPOSITORY
 
-THEIRS = {"Trajectory", "Camera"}
-"""Classes of NAVSIM, which agents import by these names from `recast_bridges.navsim`."""
+THEIRS = {"Trajectory"}
+"""Class of NAVSIM, which agents import by this name from `recast_bridges.navsim`."""
 
 
 def test_public_classes_have_names_of_their_own() -> None:

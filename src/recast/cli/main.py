@@ -37,7 +37,7 @@ from recast.cli.trellis import Trellis
 from recast.core import diagnostics, files
 from recast.core.diagnostics import Diagnostics
 from recast.core.errors import InputError, nearest
-from recast.core.plugins import BRIDGES
+from recast.core.plugins import INSTALLED_BY
 
 
 @dataclass(frozen=True)
@@ -97,10 +97,6 @@ _APART = {
     "recast-tools": ("planner", "recar assets", "recar autoencoder", "recar assemble"),
 }
 """Commands of the other distributions, for the hint when one is not installed."""
-_INSTALL = {
-    "recast-bridges": BRIDGES,
-    "recast-tools": "make setup in a clone of the repository",
-}
 _LOG = logging.getLogger(__name__)
 
 
@@ -188,9 +184,10 @@ def _command(words: Sequence[str]) -> Callable[[], None]:
     program, rest = " ".join(("recast", *path)), words[len(path) :]
     if below and rest and not rest[0].startswith("-"):
         word = " ".join((*path, rest[0]))
-        for package in (name for name, words in _APART.items() if word in words):
+        package = next((name for name, commands in _APART.items() if word in commands), None)
+        if package is not None:
             problem = f"is a command of {package}, which is not installed"
-            raise InputError("command line", word, problem, f"run {_INSTALL[package]}")
+            raise InputError("command line", word, problem, f"run {INSTALLED_BY[package]}")
         problem = f"is not a command of {program}"
         raise InputError("command line", rest[0], problem, _choice(rest[0], below, program))
     page = _Page(sys.stdout)

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import tyro
 
 from recast.core.errors import InputError
-from recast.core.plugins import entry_points
+from recast.core.plugins import entry_points, splat_formats
 
 if TYPE_CHECKING:
     from importlib.metadata import EntryPoint
@@ -159,9 +159,8 @@ VIEWS = option(
     "Maximum number of images that the actor is made from: the best view, then other sides.", "1"
 )
 
-# What is written for other programs. Names as in recast.splats.formats, which needs torch.
-_ADDED_FORMATS = sorted({*entry_points("recast.splat_formats").names} - {"ply", "gltf"})
-FormatName: Any = Literal[("ply", "gltf", *_ADDED_FORMATS)]
+# What is written for other programs.
+FormatName: Any = Literal[splat_formats()]
 SPLAT_FORMAT = option(
     "Format of the Gaussians: ply (3D Gaussian splatting), gltf (GLB with KHR_gaussian_splatting); "
     "with recast-bridges spz (Niantic, quantised) or usd (OpenUSD text).",

@@ -23,8 +23,13 @@ from recast.core.source_files import search_folder, source_files
 if TYPE_CHECKING:
     from importlib.metadata import EntryPoints
 
-BRIDGES = "pip install 'recast-sim[bridges]'"
-"""Command that installs the parts that speak to other programs."""
+INSTALLED_BY: Mapping[str, str] = {
+    "recast-bridges": "pip install 'recast-sim[bridges]'",
+    "recast-tools": "make setup in a clone of the repository",
+}
+"""The project's other distributions, and the command that installs each."""
+_OWN = frozenset({"recast", *(name.replace("-", "_") for name in INSTALLED_BY)})
+"""Packages of the project, which leave torch's settings alone."""
 _BRIDGED: Mapping[str, tuple[str, ...]] = {
     "importer": ("alpasim", "drivestudio", "py123d", "street-gaussians"),
     "planner": ("alpasim:", "navsim:", "neuroncap:"),
@@ -45,6 +50,12 @@ def _installed(_path: tuple[str, ...]) -> EntryPoints:
 
     first = {one.name: one for one in reversed(list(distributions()))}  # as Python would import it
     return EntryPoints(entry for one in first.values() for entry in one.entry_points)
+
+
+def splat_formats() -> tuple[str, ...]:
+    """Names of the formats of Gaussians, see `recast.splats.formats`: ply and gltf, then sorted."""
+    own = ("ply", "gltf")
+    return (*own, *sorted({*entry_points("recast.splat_formats").names}.difference(own)))
 
 
 @dataclass(frozen=True)
@@ -240,7 +251,8 @@ class Registry:
         from recast.core.foreign import place_of, process_kept
 
         module, _, attribute = path.partition(":")
-        if not module.startswith("recast"):  # what it does to torch is put back only if it is here
+        if module.partition(".")[0] not in _OWN:
+            # What it does to torch is put back only if torch is imported before.
             with suppress(ImportError):
                 importlib.import_module("torch")
         search_folder()
@@ -272,7 +284,7 @@ class Registry:
         """The "module:attribute" of a name."""
         if self._is_bridged(name) and name not in self.names():
             problem = "is part of recast-bridges, which is not installed"
-            raise InputError(self.kind, name, problem, f"run {BRIDGES}")
+            raise InputError(self.kind, name, problem, f"run {INSTALLED_BY['recast-bridges']}")
         if ":" in name:
             return name
         plugins = entry_points(self.group)

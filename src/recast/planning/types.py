@@ -6,6 +6,7 @@ import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from difflib import get_close_matches
+from functools import cache
 from typing import Protocol, runtime_checkable
 
 import numpy as np
@@ -175,6 +176,7 @@ _ALIKE = 0.85
 """Ratio of `difflib` from which two names are taken for a slip: "wanted_veiws" has 0.92."""
 
 
+@cache  # a class is looked at once, though each rollout asks several times
 def _warn_of_slips(kind: type) -> None:
     known = (*_PLAIN, *_METHODS)
     for name in vars(kind):
@@ -213,7 +215,7 @@ class BasePlanner:
 
     def __init_subclass__(cls) -> None:
         super().__init_subclass__()
-        _warn_of_slips(cls)
+        _warn_of_slips(cls)  # type: ignore[arg-type]  # mypy: hash of an instance
 
     @property
     def record_fields(self) -> Mapping[str, str | float]:

@@ -18,7 +18,7 @@ import torch
 from numpy.typing import NDArray
 
 from recast.core.errors import InputError
-from recast.core.plugins import entry_points
+from recast.core.plugins import entry_points, splat_formats
 from recast.geometry import se3
 from recast.splats import gltf, ply
 from recast.splats.gaussians import Gaussians
@@ -71,17 +71,11 @@ GLTF = SplatFormat(
 )
 
 
-def format_names() -> tuple[str, ...]:
-    """Names of all installed formats: recast's own first, then sorted."""
-    own = (PLY.name, GLTF.name)
-    return (*own, *sorted({*entry_points("recast.splat_formats").names}.difference(own)))
-
-
 @cache
 def formats() -> dict[str, SplatFormat]:
     """All installed formats by name."""
     entries = entry_points("recast.splat_formats")
-    return {name: entries[name].load() for name in format_names()}
+    return {name: entries[name].load() for name in splat_formats()}
 
 
 def splat_suffixes() -> tuple[str, ...]:

@@ -27,14 +27,17 @@ from rich.table import Table
 from recast import __version__, kernel
 from recast.cli.output import Rows
 from recast.core.errors import InputError
-from recast.core.plugins import BRIDGES, GENERATORS, IMPORTERS, PLANNERS, SEGMENTERS
+from recast.core.plugins import GENERATORS, IMPORTERS, INSTALLED_BY, PLANNERS, SEGMENTERS
 from recast.core.workers import usable_cores
 from recast.weights import PUBLISHED, Weights, published, weights_folder
 from recast.weights.fetch import fetch, is_whole
 from recast.weights.fetched import is_fetched, read_weights_record, verify
 
 _OPTIONAL = {
-    "recast-bridges": ("other programs' simulators, scores, trained streets and files", BRIDGES),
+    "recast-bridges": (
+        "other programs' simulators, scores, trained streets and files",
+        INSTALLED_BY["recast-bridges"],
+    ),
     "embreex": ("synthetic worlds, the demo", "pip install 'recast-sim[synthetic]'"),
     "mitsuba": ("better light in synthetic worlds", "pip install 'recast-sim[mitsuba]'"),
     "gsplat": ("rasterize on CUDA", "pip install 'recast-sim[cuda]'"),
