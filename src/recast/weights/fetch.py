@@ -240,23 +240,19 @@ def list_source(source: WeightsSource) -> SourceListing:
     if source.revision not in (None, listing.commit):
         problem = f"answers with commit {listing.commit}, not {source.revision}"
         raise InputError(_actual(page), "revision", problem, _ELSEWHERE)
-    names = {name: None for pattern in source.files for name in _matching(source, pattern, listing)}
-    return SourceListing(
-        commit=listing.commit,
-        files=tuple(_pinned(source, file) for file in listing.files if file.name in names),
+    for pattern in source.files:
+        if not fnmatch.filter([file.name for file in listing.files], pattern):
+            problem = f"is not in the repository at {wanted}"
+            mend = "tell the maintainers of recast: the publisher changed the layout"
+            raise InputError(source.where, pattern, problem, mend)
+    asked_for = (
+        file
+        for file in listing.files
+        if any(fnmatch.fnmatch(file.name, pattern) for pattern in source.files)
     )
-
-
-def _matching(source: WeightsSource, pattern: str, listing: SourceListing) -> list[str]:
-    names = fnmatch.filter([file.name for file in listing.files], pattern)
-    if not names:
-        raise InputError(
-            source.where,
-            pattern,
-            f"is not in the repository at {source.revision or 'main'}",
-            "tell the maintainers of recast: the publisher changed the layout",
-        )
-    return names
+    return SourceListing(
+        commit=listing.commit, files=tuple(_pinned(source, file) for file in asked_for)
+    )
 
 
 def _pinned(source: WeightsSource, file: _File) -> _File:
@@ -279,8 +275,7 @@ def _download(
     from huggingface_hub import snapshot_download
     from huggingface_hub.file_download import http_get
 
-    sizes = [file.size for file in listing.files]
-    total = None if None in sizes else sum(size or 0 for size in sizes)
+    total = sum(file.size or 0 for file in listing.files) or None
     bars = _reporting(lambda came: progress(source.where, came, total))
     if source.repository:
         with _answers(f"{HUB}/{source.where}"), files.disk_errors(folder):
@@ -288,7 +283,7 @@ def _download(
                 source.where,
                 revision=listing.commit,
                 local_dir=folder,
-                allow_patterns=[_literal(file.name) for file in listing.files],
+                allow_patterns=[*source.files],
                 endpoint=_actual(HUB),
                 library_name="recast",
                 tqdm_class=bars,
@@ -313,11 +308,6 @@ def _download(
                     tqdm_class=bars,
                 )
             part.replace(target)
-
-
-def _literal(name: str) -> str:
-    """A pattern that matches this name alone."""
-    return "".join(f"[{letter}]" if letter in "*?[" else letter for letter in name)
 
 
 def _checked(file: _File, path: Path, address: str) -> FetchedFile:
