@@ -25,7 +25,7 @@ from recast.core.errors import InputError
 from recast.core.files import write_text
 from recast.core.torch_file import read_header, read_safetensors
 from recast.reporting.video import read_video, write_video
-from recast.tables import check_batches, read_parquet, write_parquet
+from recast.core.table_files import check_batches, read_parquet, write_parquet
 
 drive, out = sys.argv[1:]
 words = "import", "kitti", drive, "--drive", "{DRIVE}", "--labels", drive + "/labels.txt"

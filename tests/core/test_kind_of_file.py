@@ -13,7 +13,7 @@ from pyarrow import feather, parquet
 
 from recast.core.errors import InputError
 from recast.core.files import kind_of_file, read_json, read_text
-from recast.tables import read_feather, read_parquet
+from recast.core.table_files import read_feather, read_parquet
 
 POINTER = b"version https://git-lfs.github.com/spec/v1\noid sha256:00\nsize 1\n"
 

@@ -143,7 +143,7 @@ def _cut(path: Path) -> None:
         ),
         (_named(SWEEP, f"{'9' * 25}.feather"), "99.feather: file name: is not a time in nanosec"),
         (_named(IMAGE, f"{'9' * 19}.jpg"), "99.jpg: file name: is not a time in nanoseconds"),
-        (_terabyte, f"{SWEEP}: feather table: claims 240 rows and 1099"),
+        (_terabyte, f"{SWEEP}: feather table: cannot be read ("),
         (_column(POSES, "tx_m", 7, 1e300), f"{POSES}: tx_m, ty_m, tz_m in row 7: [1e+300, "),
         (_column(POSES, "qw", 7, 1e300), f"{POSES}: qw, qx, qy, qz in row 7: are not a rotation"),
         (
@@ -188,12 +188,12 @@ def _cut(path: Path) -> None:
         ),
         (
             lambda f: _cut(next((f / "map").glob("*.npy"))),
-            "PIT.npy: array: says 64000 bytes of values",
+            "PIT.npy: array: cannot be read (",
         ),
-        (_raster("{'descr': '<f2', 'shape': (9"), "PIT.npy: array: has a damaged header"),
+        (_raster("{'descr': '<f2', 'shape': (9"), "PIT.npy: array: cannot be read ("),
         (
             _raster("{'descr': '<f2', 'fortran_order': False, 'shape': (99999999, 99999)}"),
-            "PIT.npy: array: says 19999799800002 bytes of values",
+            "PIT.npy: array: cannot be read (",
         ),
     ],
 )

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from importlib.util import find_spec
 from pathlib import Path
 
 import numpy as np
 import pytest
 import torch
 import torch.nn.functional as functional
-from safetensors.torch import load, save_file
+from safetensors.torch import load, load_file, save_file
 from transformers import (
     BitImageProcessor,
     CLIPConfig,
@@ -28,6 +29,7 @@ from recast.metrics.features import FeatureDistance
 from recast.metrics.perceptual import BACKBONES, Lpips, load_distances, load_lpips
 from recast.pretrained import resized
 
+HEADS = Path(perceptual.__file__).with_name("lpips_heads.safetensors")
 RNG = np.random.default_rng(0)
 IMAGE = RNG.uniform(size=(48, 64, 3))
 NEAR = np.clip(IMAGE + RNG.normal(0, 0.02, IMAGE.shape), 0, 1)
@@ -91,12 +93,9 @@ def test_lpips_orders_images(alex: Path) -> None:
 
 
 def test_lpips_by_the_formula(alex: Path) -> None:
-    """Every step written out: AlexNet's convolutions, unit features, torchmetrics' heads."""
-    import torchmetrics
-
+    """Every step written out: AlexNet's convolutions, unit features, the shipped heads."""
     weights = torch.load(alex, weights_only=True)
-    path = Path(torchmetrics.__file__).parent / "functional" / "image" / "lpips_models" / "alex.pth"
-    heads = torch.load(path, weights_only=True, map_location="cpu")
+    heads = load_file(HEADS)
     taps = []
     for image in (IMAGE, FAR):
         x = torch.from_numpy(image).float().permute(2, 0, 1)[None]
@@ -118,10 +117,26 @@ def test_lpips_by_the_formula(alex: Path) -> None:
             found.append(x / x.norm(dim=1, keepdim=True).clamp_min(1e-9))
         taps.append(found)
     expected = sum(
-        float(functional.conv2d((a - b) ** 2, heads[f"lin{i}.model.1.weight"]).mean())
+        float(functional.conv2d((a - b) ** 2, heads[f"alex.{i}"][None, :, None, None]).mean())
         for i, (a, b) in enumerate(zip(*taps, strict=True))
     )
     assert load_lpips(alex)(IMAGE, FAR) == pytest.approx(expected, rel=1e-5)
+
+
+@pytest.mark.parametrize("backbone", BACKBONES)
+def test_the_heads_are_those_of_torchmetrics(backbone: str) -> None:
+    spec = find_spec("torchmetrics")
+    if spec is None or not spec.submodule_search_locations:
+        pytest.skip("torchmetrics is not installed")
+    folder = Path(spec.submodule_search_locations[0]) / "functional" / "image" / "lpips_models"
+    published = torch.load(folder / f"{backbone}.pth", weights_only=True, map_location="cpu")
+    shipped = load_file(HEADS)
+    widths = [layer.channels[1] for layer in BACKBONES[backbone] if layer.tapped]
+    assert len(published) == len(widths)
+    for index, width in enumerate(widths):
+        head = shipped[f"{backbone}.{index}"]
+        assert head.shape == (width,)
+        assert torch.equal(head, published[f"lin{index}.model.1.weight"].flatten())
 
 
 def test_vgg_from_safetensors(tmp_path: Path) -> None:

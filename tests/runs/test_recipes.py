@@ -19,7 +19,7 @@ from recast.runs.sources import RECIPES
 SOURCE = Path(__file__).parents[2] / "src" / "recast"
 ACCEPTED = Path(__file__).with_name("recipes.json")
 CODE = {
-    "log": ("logs", "synthetic", "tables"),
+    "log": ("logs", "synthetic", "core/table_files.py", "core/array_files.py"),
     "actor": ("actors", "scene", "splats", "trellis", "runs/actor.py"),
     "refine": ("actors", "scene", "splats"),
     "turntable": ("actors", "splats"),

@@ -133,5 +133,5 @@ def test_damage_is_refused_or_leaves_a_header_within_the_file(cut: int, flip: in
 
 @pytest.mark.parametrize("missing", ["no.safetensors", "."])
 def test_a_file_that_cannot_be_opened(tmp_path: Path, missing: str) -> None:
-    with pytest.raises(InputError, match="check the folder"):
+    with pytest.raises(InputError, match="check the path"):
         read_header(tmp_path / missing, "download it again")

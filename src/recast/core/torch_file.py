@@ -5,8 +5,8 @@ from __future__ import annotations
 import os
 import re
 import zipfile
-from collections.abc import Iterator, Mapping
-from contextlib import ExitStack, contextmanager, nullcontext
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from pickle import UnpicklingError
 from tempfile import TemporaryDirectory
@@ -18,7 +18,6 @@ from torch import Tensor
 
 from recast.core.errors import InputError
 from recast.core.files import disk_errors
-from recast.core.pickled import arrays_in_checkpoints
 
 DTYPES: Mapping[str, torch.dtype] = {
     "BOOL": torch.bool,
@@ -36,13 +35,15 @@ DTYPES: Mapping[str, torch.dtype] = {
 _PICKLES = (b"PK\x03\x04", b"\x80\x02", b"\x80\x03", b"\x80\x04", b"\x80\x05")
 
 
-def read_torch_file(path: Path, mend: str, field: str = "file", arrays: bool = False) -> Any:
-    """What a file of `torch.save` holds, its tensors on the CPU.
+def read_torch_file(
+    path: Path, mend: str, field: str = "file", safe: Sequence[tuple[Any, str]] = ()
+) -> Any:
+    """What a file of `torch.save` holds, its tensors on the CPU, mapped from disk if they can be.
 
     Args:
         mend: what the user can do about a damaged file.
         field: what the file is, for messages.
-        arrays: whether the file may hold NumPy's numbers and arrays, see `recast.core.pickled`.
+        safe: what else it may call, with the names by which it does.
 
     Raises:
         InputError: the file is missing or damaged, or holds other objects than tensors, plain
@@ -50,27 +51,23 @@ def read_torch_file(path: Path, mend: str, field: str = "file", arrays: bool = F
             the file has bytes: compressed members, or tensors larger than what is stored of them.
     """
     try:
-        _require_stored(path, field)
-        with arrays_in_checkpoints() if arrays else nullcontext():
-            found = torch.load(path, map_location="cpu", weights_only=True)
+        with disk_errors(path), torch.serialization.safe_globals([*safe]):
+            mapped = zipfile.is_zipfile(path)  # not the format before PyTorch 1.6
+            if mapped:
+                _require_stored(path, field)
+            found = torch.load(path, map_location="cpu", weights_only=True, mmap=mapped)
         for tensor in _tensors(found):
             _require_whole(tensor, path, field)
         return found
     except InputError:
         raise
-    except (FileNotFoundError, IsADirectoryError, PermissionError) as error:
-        problem = (error.strerror or "cannot be read").lower()
-        raise InputError(path, field, problem, "check the path") from None
     except Exception as error:  # the unpickler lets through whatever broken bytes lead to
         # PyTorch's own text is a page long and tells the reader to trust the file.
         refused = re.search(r"nsupported (?:global: )?GLOBAL ([\w.]+)", str(error))
         if refused is not None:
-            raise InputError(
-                path,
-                field,
-                f"holds {refused[1]}, which is not a tensor and is never unpickled",
-                "where it was made, save its state dict alone",
-            ) from None
+            problem = f"holds {refused[1]}, which is not a tensor and is never unpickled"
+            mend = "where it was made, save its state dict alone"
+            raise InputError(path, field, problem, mend) from None
         reason = "" if isinstance(error, UnpicklingError) else _reason(error)
         problem = f"is damaged or is not a PyTorch checkpoint{reason}"
         raise InputError(path, field, problem, mend) from None
@@ -140,19 +137,12 @@ def read_header(path: Path, mend: str) -> dict[str, Tensor]:
         InputError: the file is missing, truncated, has bytes to spare, or is of another kind,
             such as a pickled PyTorch file.
     """
-    try:
-        with path.open("rb") as file:
-            pickled = file.read(4).startswith(_PICKLES)
-    except (FileNotFoundError, IsADirectoryError, PermissionError) as error:
-        problem = (error.strerror or "cannot be read").lower()
-        raise InputError(path, "file", problem, "check the folder") from None
+    with disk_errors(path), path.open("rb") as file:
+        pickled = file.read(4).startswith(_PICKLES)
     if pickled:
-        raise InputError(
-            path,
-            "file",
-            "is a pickled PyTorch file, not safetensors",
-            "convert it where it came from; pickles are never loaded",
-        )
+        problem = "is a pickled PyTorch file, not safetensors"
+        hint = "convert it where it came from; pickles are never loaded"
+        raise InputError(path, "file", problem, hint)
     tensors = {}
     try:
         with opened_safetensors(path) as file:
@@ -172,19 +162,11 @@ def read_header(path: Path, mend: str) -> dict[str, Tensor]:
 
 
 def _require_stored(path: Path, field: str) -> None:
-    """`torch.save` never compresses: what is compressed was made to grow."""
-    if not zipfile.is_zipfile(path):  # the format before PyTorch 1.6
-        return
-    size = path.stat().st_size
+    """`torch.save` never compresses: compressed bytes would be taken for numbers."""
     with zipfile.ZipFile(path) as archive:
-        for one in archive.infolist():
-            if one.compress_type != zipfile.ZIP_STORED or one.file_size > size:
-                raise InputError(
-                    path,
-                    field,
-                    "is compressed, which no PyTorch checkpoint is",
-                    "save it with torch.save",
-                )
+        if any(one.compress_type != zipfile.ZIP_STORED for one in archive.infolist()):
+            problem = "is compressed, which no PyTorch checkpoint is"
+            raise InputError(path, field, problem, "save it with torch.save")
 
 
 def _tensors(value: Any) -> Iterator[Tensor]:
@@ -202,18 +184,13 @@ def _require_whole(tensor: Tensor, path: Path, field: str) -> None:
     # A few bytes can be expanded to any shape; the first copy of it takes the memory.
     if tensor.layout != torch.strided or tensor.device.type != "cpu" or tensor.is_quantized:
         kind = "quantized" if tensor.is_quantized else str(tensor.layout)
-        raise InputError(
-            path, field, f"holds a {kind} tensor on {tensor.device}", "save dense tensors"
-        )
+        problem = f"holds a {kind} tensor on {tensor.device}"
+        raise InputError(path, field, problem, "save dense tensors")
     stored = tensor.untyped_storage().nbytes()
     if tensor.numel() * tensor.element_size() > stored:
         shape = "x".join(str(size) for size in tensor.shape)
-        raise InputError(
-            path,
-            field,
-            f"has a tensor of {shape} values, of which {stored} bytes are stored",
-            "save contiguous tensors",
-        )
+        problem = f"has a tensor of {shape} values, of which {stored} bytes are stored"
+        raise InputError(path, field, problem, "save contiguous tensors")
 
 
 def _reason(error: Exception) -> str:

@@ -2,15 +2,14 @@
 
 LPIPS (Zhang et al. 2018), the distance of deep features weighted by what people see, is written out
 here. Its convolutions take published ImageNet weights in torchvision's layout
-(`features.N.weight`), of AlexNet or VGG-16; the linear heads, version 0.1 of LPIPS, come with the
-package torchmetrics.
+(`features.N.weight`), of AlexNet or VGG-16; the linear heads, version 0.1 of LPIPS, lie beside this
+module (lpips_heads.md says where they come from).
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from importlib.util import find_spec
 from pathlib import Path
 from typing import Protocol
 
@@ -21,7 +20,7 @@ from torch import Tensor
 
 from recast.arrays import Array
 from recast.core.errors import InputError
-from recast.core.torch_file import checked_weight, read_tensors
+from recast.core.torch_file import checked_weight, read_safetensors, read_tensors
 from recast.pretrained import Picture, in_batches, resized
 
 SIDE, BATCH = 256, 16
@@ -30,6 +29,7 @@ SIDE, BATCH = 256, 16
 _SHIFT = (-0.030, -0.088, -0.188)
 _SCALE = (0.458, 0.448, 0.450)
 _EPSILON = 1e-10
+_HEADS = Path(__file__).with_name("lpips_heads.safetensors")
 _MEND = "give AlexNet or VGG-16 weights as torchvision saves them, .pth or .safetensors"
 
 
@@ -115,7 +115,7 @@ BACKBONES: Mapping[str, tuple[Convolution, ...]] = {
     ),
     "vgg": _vgg16(),
 }
-"""Networks by the name that torchmetrics gives their heads."""
+"""Networks by name; the names of their heads begin with it."""
 
 
 class Lpips:
@@ -235,7 +235,7 @@ def load_lpips(path: Path) -> Lpips:
 
     Raises:
         InputError: the file is missing, unreadable, of another network, or has a value that is not
-            finite; torchmetrics is not installed.
+            finite.
     """
     state = read_tensors(path, "LPIPS weights", _MEND)
     first = state.get("features.0.weight")
@@ -254,16 +254,6 @@ def load_lpips(path: Path) -> Lpips:
 
 
 def _heads(backbone: str) -> list[Tensor]:
-    """(C,) of every tapped layer, from the files of torchmetrics, which is not imported for it:
-    it fails to import where torchvision does."""
-    found = find_spec("torchmetrics")
-    folders = (found.submodule_search_locations or []) if found is not None else []
-    for folder in folders:
-        path = Path(folder) / "functional" / "image" / "lpips_models" / f"{backbone}.pth"
-        if path.is_file():
-            state = read_tensors(path, "LPIPS heads", "reinstall torchmetrics")
-            taps = sum(layer.tapped for layer in BACKBONES[backbone])
-            return [state[f"lin{index}.model.1.weight"].flatten() for index in range(taps)]
-    raise InputError(
-        "torchmetrics", f"lpips_models/{backbone}.pth", "is missing", "pip install torchmetrics"
-    )
+    """(C,) of every tapped layer."""
+    heads, _ = read_safetensors(_HEADS, "LPIPS heads", "install recast again")
+    return [heads[name] for name in sorted(heads) if name.startswith(f"{backbone}.")]

@@ -25,6 +25,7 @@ from torch import Tensor
 from torch.nn import functional
 
 from recast.arrays import Array
+from recast.core.array_files import npz_names, read_npz
 from recast.core.errors import InputError
 from recast.geometry import se3
 from recast.logs import Track, Trajectory
@@ -32,7 +33,6 @@ from recast.logs.checks import WORLD_REACH, check_times
 from recast.scene.config import SceneConfig
 from recast.splats import Gaussians, morton_order
 from recast.splats.gaussians import LARGEST, quat_multiply
-from recast.tables import npz_names, open_npz, read_npz
 
 MOST_JOINTS, MOST_POSES = 256, 1_000_000
 UNIT_TOLERANCE = 1e-3
@@ -317,8 +317,7 @@ def _read_model(path: Path) -> Members:
 
 def _read_archive(path: Path, wanted: tuple[str, ...] | None) -> dict[str, NDArray[Any]]:
     """Numeric members of an .npz file; sizes are checked before memory is taken."""
-    with open_npz(path, _MODEL_MEND) as archive:
-        names = [name for name in npz_names(archive) if wanted is None or name in wanted]
+    names = [n for n in npz_names(path, _MODEL_MEND) if wanted is None or n in wanted]
     arrays = read_npz(path, _MODEL_MEND, names, MOST_BYTES)
     for name, array in arrays.items():
         if array.dtype.kind not in "fiu" or array.size == 0:

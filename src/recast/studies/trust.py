@@ -11,6 +11,7 @@ from rich.table import Table
 
 from recast.core import files
 from recast.core.errors import InputError, printable
+from recast.core.table_files import read_parquet
 from recast.metrics.trust import (
     JudgedRollout,
     Reliability,
@@ -25,7 +26,6 @@ from recast.reporting.reliability import write_reliability
 from recast.runs.display import narrow_table
 from recast.runs.report import open_run
 from recast.studies.grid import BENCH_FORMAT, RECORD_FILE, ROLLOUTS_FILE, SCENES_FOLDER
-from recast.tables import read_parquet
 
 _NAMES = ("scene", "motion", "setting", "planner", "arm")
 _MEND = "give the folder of a finished `recast bench closed-loop`"

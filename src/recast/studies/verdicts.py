@@ -13,10 +13,10 @@ from pathlib import Path
 import numpy as np
 import pyarrow as pa
 
+from recast.core.table_files import write_parquet
 from recast.metrics.pairs import Bootstrap, cluster_bootstrap, over_common_steps
 from recast.metrics.table import COLUMNS
 from recast.studies.grid_rows import GridRow
-from recast.tables import write_parquet
 
 SCHEMA = pa.schema(
     [

@@ -16,6 +16,7 @@ import shapely
 from scipy.spatial import cKDTree
 
 from recast.core.errors import InputError
+from recast.core.table_files import check_batches
 from recast.geometry import se3
 from recast.logs import motion
 from recast.logs.checks import refused
@@ -30,7 +31,6 @@ from recast.logs.importers.common import (
     unknown_drive,
 )
 from recast.logs.types import Array, DrivingLog, Trajectory
-from recast.tables import check_batches
 from recast_bridges.logs.py123d_sensors import (
     matrix,
     read_cameras,

@@ -15,17 +15,17 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
-from zipfile import ZipFile, is_zipfile
+from zipfile import is_zipfile
 
 import numpy as np
 
 from recast.core import files
+from recast.core.array_files import npz_names, read_npz
 from recast.core.errors import InputError
 from recast.geometry import se3
 from recast.logs import checks, motion
 from recast.logs.importers.common import are_returns, first_jump
 from recast.logs.types import Array, Int64Array, LidarStream, LidarSweep, Trajectory
-from recast.tables import npz_array, npz_names, open_npz
 from recast_bridges.logs.processed_folder import NUMBER, CameraFolder, frame_numbers, read_pose
 
 TIMES = "timestamps.json"
@@ -155,10 +155,9 @@ def read_lidar(path: Path, drive: TrainedFrames) -> dict[str, LidarStream]:
         return {}
     if not is_zipfile(path):
         raise InputError(path, "file", "is not an .npz archive; pickles are never loaded", _CONVERT)
-    with open_npz(path, _CONVERT) as arrays:
-        names = npz_names(arrays)
-        if names:
-            _array(path, arrays, names[0])
+    names = npz_names(path, _CONVERT)
+    if names:
+        _array(path, names[0])
     for name in names:
         if not NUMBER.fullmatch(name) or int(name) not in drive.frame_times:
             problem = "is not a frame with an ego pose"
@@ -194,8 +193,7 @@ class StreetGaussiansSweeps:
             InputError: the file is broken, or the array is not (N, 3) numbers in range.
         """
         name = self.names[index]
-        with open_npz(self.path, _CONVERT) as arrays:
-            in_vehicle = _array(self.path, arrays, name)
+        in_vehicle = _array(self.path, name)
         time = self.drive.frame_times[int(name)]
         rig_from_world = se3.inverse(self.drive.world_from_rig.at(time))
         rig_from_vehicle = rig_from_world @ self.drive.world_from_frame[int(name)]
@@ -203,8 +201,8 @@ class StreetGaussiansSweeps:
         return LidarSweep(time, points, np.zeros(len(points), np.float32))
 
 
-def _array(path: Path, arrays: ZipFile, name: str) -> Array:
-    points = npz_array(path, arrays, name, _CONVERT, _LARGEST)
+def _array(path: Path, name: str) -> Array:
+    points = read_npz(path, _CONVERT, [name], _LARGEST)[name]
     if points.ndim != 2 or points.shape[1] != 3 or points.dtype.kind != "f":
         problem = f"is {points.dtype} of shape {points.shape}, not points (N, 3)"
         raise InputError(path, f"array {name}", problem, _CONVERT)

@@ -13,9 +13,9 @@ from torch import Tensor
 
 from recast.arrays import Array
 from recast.core.errors import InputError
-from recast.core.pickled import PickledArray, PickledQuaternion
 from recast.core.torch_file import read_torch_file
 from recast.splats import Gaussians
+from recast_bridges.scenes.pickled import ARRAYS, PickledArray, PickledQuaternion
 
 MEND = "give a checkpoint of the published layout; see docs/scenes.md#scenes-that-others-trained"
 REST_COUNTS = (0, 3, 8, 15)
@@ -182,7 +182,7 @@ def read_checkpoint(path: str | Path, arrays: bool = False) -> CheckpointTable:
         InputError: see `recast.core.torch_file.read_torch_file`; or it holds no table.
     """
     path = Path(path)
-    content = read_torch_file(path, "copy it again", arrays=arrays)
+    content = read_torch_file(path, "copy it again", safe=ARRAYS if arrays else ())
     if not isinstance(content, Mapping) or not all(isinstance(key, str) for key in content):
         raise InputError(path, "file", f"holds {type(content).__name__}, not a table", MEND)
     return CheckpointTable(path, content)

@@ -19,13 +19,13 @@ from recast.arrays import Array
 from recast.cameras import PinholeCamera
 from recast.core.errors import InputError
 from recast.core.files import read_json
-from recast.core.pickled import read_pickle
 from recast.core.torch_file import read_torch_file
 from recast.geometry import se3
 from recast.logs.checks import WORLD_REACH, refused
 from recast.splats import Gaussians
 from recast.splats.sh import MAX_DEGREE
 from recast_bridges.scenes.checkpoint import CheckpointTable, Names, read_gaussians, read_harmonics
+from recast_bridges.scenes.pickled import ARRAYS, read_pickle
 
 FIELDS = (
     *("active_sh_degree", "xyz", "features_dc", "features_rest"),
@@ -46,7 +46,7 @@ def read_members(path: Path) -> tuple[CheckpointTable, int | None]:
     Raises:
         InputError: the file is missing, broken or of another layout.
     """
-    content = read_torch_file(path, "copy it again", arrays=True)
+    content = read_torch_file(path, "copy it again", safe=ARRAYS)
     if not isinstance(content, tuple | list) or len(content) != 2:
         raise InputError(path, "file", "is not a pair of Gaussians and iteration", _MEND)
     own, iteration = content
@@ -204,7 +204,7 @@ def read_unicycle(path: Path) -> tuple[Array, Array]:
         InputError: the file is missing, broken or of another layout, a value is not finite, or the
             times do not increase.
     """
-    content = read_torch_file(path, "copy it again", arrays=True)
+    content = read_torch_file(path, "copy it again", safe=ARRAYS)
     if not isinstance(content, tuple | list) or len(content) != len(MOTION):
         raise InputError(path, "file", f"is not a tuple of {len(MOTION)} members", _MEND)
     table = CheckpointTable(path, dict(zip(MOTION, content, strict=True)))

@@ -13,11 +13,11 @@ import numpy as np
 
 from recast.arrays import Array, Int64Array
 from recast.core.errors import InputError
-from recast.core.pickled import read_pickle
 from recast.geometry import se3
 from recast.logs import DrivingLog
 from recast.logs.checks import LATEST_US, WORLD_REACH
 from recast_bridges.scenes.checkpoint import CheckpointTable
+from recast_bridges.scenes.pickled import read_pickle
 
 FRAMES_FILE = "video_scene_dict.pkl"
 _MEND = "name the checkpoint itself to import it without the recorded frames"

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from recast.cameras import PinholeCamera
 from recast.core.errors import InputError
+from recast.core.table_files import read_feather
 from recast.geometry import se3
 from recast.logs import checks
 from recast.logs.importers.common import (
@@ -28,7 +29,6 @@ from recast.logs.importers.common import (
     unknown_drive,
 )
 from recast.logs.types import Array, Int64Array, LidarSweep
-from recast.tables import read_feather
 
 POSES = "city_SE3_egovehicle.feather"
 _NANOSECONDS = re.compile(r"[0-9]{1,19}")
@@ -121,7 +121,7 @@ def read_columns(
         gaps: columns of numbers that need not be finite.
 
     Raises:
-        InputError: see `tables.read_feather` and `tables.Table`.
+        InputError: see `read_feather` and `ArrowTable`.
     """
     table = read_feather(path, [*numbers, *words, *gaps], _MEND)
     return {

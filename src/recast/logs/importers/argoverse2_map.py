@@ -11,13 +11,13 @@ import numpy as np
 from pydantic import Field, ValidationError
 
 from recast.core import files
+from recast.core.array_files import read_npy
 from recast.core.errors import InputError
 from recast.core.records import validation_error
 from recast.logs import checks
 from recast.logs.hdmap import GroundHeight, HdMap, Lane
 from recast.logs.importers.common import NEAR, ForeignRecord, lane_outline, metres_beside
 from recast.logs.types import Array
-from recast.tables import read_npy
 
 _STEP = 1.0
 """Metres between points of an averaged centreline, measured on the longer boundary."""

@@ -18,6 +18,7 @@ import numpy as np
 import pyarrow as pa
 
 from recast.core.errors import InputError
+from recast.core.table_files import ParquetRows
 from recast.logs.importers.waymo2_tables import (
     CAMERA,
     LASER,
@@ -47,7 +48,6 @@ from recast.logs.importers.waymo_segment import (
 )
 from recast.logs.importers.waymo_values import frame_time, image_entry, label_entry, shaped
 from recast.logs.types import Array, Float32Array
-from recast.tables import ParquetRows
 
 LABEL = "key.laser_object_id"
 _TOP = "TOP"

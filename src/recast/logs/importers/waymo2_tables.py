@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from recast.core.errors import InputError
+from recast.core.table_files import ROW_LIMIT, ParquetRows
 from recast.logs.importers.common import check_drive, unknown_drive
 from recast.logs.importers.waymo_proto import (
     CAMERA_NAME,
@@ -25,7 +26,6 @@ from recast.logs.importers.waymo_proto import (
 from recast.logs.importers.waymo_segment import MEND, LaserCalibration, Place, WaymoCamera
 from recast.logs.importers.waymo_values import camera_calibration, laser_calibration, rigid
 from recast.logs.types import Array
-from recast.tables import ROW_LIMIT, ParquetRows
 
 SEGMENT, TIME = "key.segment_context_name", "key.frame_timestamp_micros"
 COMPONENTS = {

@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 
+from recast.core.table_files import write_parquet
 from recast.metrics.scene_level.scores import COLUMNS, IMAGE_SCORES, image_scores
 from recast.metrics.scene_level.summary import LevelRow, MeasuredScene, Value
 from recast.metrics.table import rounded
-from recast.tables import write_parquet
 
 _COLUMNS = ("fd_scene", "clip_margin", "vqa_margin", "fd_crop", "clip_img", "clip_veh", "lpips")
 _ROWS = {

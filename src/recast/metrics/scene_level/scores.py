@@ -30,6 +30,7 @@ from numpy.typing import NDArray
 
 from recast.arrays import Array, Image
 from recast.core import files
+from recast.core.array_files import read_npz
 from recast.core.errors import InputError
 from recast.metrics.actor_scores import ScoredCutout
 from recast.metrics.features import ToyFeatures
@@ -37,7 +38,6 @@ from recast.metrics.inception import load_inception
 from recast.metrics.perceptual import load_lpips
 from recast.pretrained import Clip, checked_scores, load_vqa_scorer, square_crop
 from recast.scene.scores import Rectangle
-from recast.tables import read_npz
 
 Features = Mapping[str, NDArray[np.generic]]
 Measure = Callable[[Sequence[Image]], NDArray[np.generic]]

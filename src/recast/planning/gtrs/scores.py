@@ -14,12 +14,12 @@ from pydantic import NonNegativeFloat, PositiveFloat
 from torch import Tensor
 from torch.nn import functional
 
+from recast.core.array_files import read_npy
 from recast.core.errors import InputError
 from recast.core.files import atomic_file
 from recast.core.records import Record
 from recast.planning.gtrs.head import IMITATION
 from recast.planning.types import WAYPOINTS
-from recast.tables import read_npy
 
 Trajectories = NDArray[np.float32]
 

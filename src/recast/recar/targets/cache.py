@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from recast.arrays import Array
 from recast.core import files
+from recast.core.array_files import read_npz
 from recast.core.errors import InputError
 from recast.core.records import read_record
 from recast.recar.set_records import Split
@@ -33,7 +34,6 @@ from recast.recar.targets.cache_records import (
 )
 from recast.recar.targets.decisions import Decision, Screening
 from recast.recar.views import write_arrays
-from recast.tables import read_npz
 
 _MOST_BYTES = 1 << 28  # most of the arrays of a target; published ones have 2 MB
 STRUCTURES = "ss_latents"

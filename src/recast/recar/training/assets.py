@@ -16,9 +16,9 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from recast.core.array_files import read_npz
 from recast.core.errors import InputError
 from recast.recar.views import write_arrays
-from recast.tables import read_npz
 from recast.trellis.sparse import SparseTensor
 
 FEATURES = 17

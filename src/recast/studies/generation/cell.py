@@ -22,13 +22,13 @@ from recast.actors import Asset, Observation
 from recast.actors.icp import FitSurface, bounds
 from recast.actors.place import place_asset, stood_up
 from recast.arrays import Array, Image
+from recast.core.array_files import read_npz
 from recast.core.errors import InputError
 from recast.core.files import atomic_folder, read_json, write_json
 from recast.core.images import decode_image, rgb
 from recast.geometry import se3
 from recast.metrics.table import rounded
 from recast.splats import Gaussians
-from recast.tables import read_npz
 
 Features = NDArray[np.float32]
 Placement = Literal["views", "canonical"]

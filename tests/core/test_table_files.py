@@ -12,8 +12,15 @@ import pyarrow.parquet as pq
 import pytest
 from pyarrow import feather
 
+from recast.core import table_files
 from recast.core.errors import InputError
-from recast.tables import ArrowTable, ParquetRows, read_feather, read_parquet
+from recast.core.table_files import (
+    ArrowTable,
+    ParquetRows,
+    check_batches,
+    read_feather,
+    read_parquet,
+)
 
 MEND = "mend it"
 Write = Callable[[pa.Table, Path], ArrowTable]
@@ -136,3 +143,67 @@ def test_rows_of_parquet_come_in_order(tmp_path: Path) -> None:
     assert rows.first_rows.tolist() == [0, 4, 8, 10]
     found = [batch.to_pydict() for batch in rows.batches(1, rows_at_once=3)]
     assert found == [{"b": [4, 5, 6]}, {"b": [7]}]
+
+
+ZEROS = pa.table({"x": np.zeros(1 << 20)})  # 8 MiB
+
+
+@pytest.mark.parametrize(("suffix", "read"), [("feather", read_feather), ("parquet", read_parquet)])
+def test_a_table_that_grows_in_memory_is_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, suffix: str, read: Any
+) -> None:
+    path = tmp_path / f"zeros.{suffix}"
+    if suffix == "feather":
+        feather.write_feather(ZEROS, str(path), compression="zstd")
+    else:
+        pq.write_table(ZEROS, path, compression="zstd")
+    assert path.stat().st_size < 10_000
+    assert len(read(path, ["x"], MEND)) == 1 << 20
+    monkeypatch.setattr(table_files, "TABLE_LIMIT", 1 << 22)
+    with pytest.raises(InputError, match=rf"has over {1 << 22} rows, or over {1 << 22} bytes"):
+        read(path, ["x"], MEND)
+    monkeypatch.setattr(table_files, "TABLE_LIMIT", 1 << 28)
+    monkeypatch.setattr(table_files, "ROW_LIMIT", 1 << 19)
+    with pytest.raises(InputError, match=r"has over 524288 rows|has 1048576 rows"):
+        read(path, ["x"], MEND)
+
+
+def test_a_buffer_that_claims_a_petabyte_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "lie.feather"
+    feather.write_feather(pa.table({"x": np.zeros(1000)}), str(path), compression="lz4")
+    data = path.read_bytes()
+    claim = (8000).to_bytes(8, "little")
+    assert data.count(claim) == 1
+    path.write_bytes(data.replace(claim, (1 << 50).to_bytes(8, "little")))
+    with pytest.raises(InputError, match="feather table: cannot be read"):
+        read_feather(path, ["x"], MEND)
+
+
+def test_an_arrow_file_for_another_library_is_checked_batch_by_batch(tmp_path: Path) -> None:
+    path = tmp_path / "log.arrow"
+    feather.write_feather(ZEROS, str(path), compression="zstd", chunksize=1 << 18)
+    check_batches(path, MEND, 4 << 20)
+    with pytest.raises(InputError, match=f"Arrow file: has a batch of {2 << 20} bytes"):
+        check_batches(path, MEND, 1 << 20)
+    feather.write_feather(pa.table({"t": bad_text()}), str(path))
+    with pytest.raises(InputError, match=r"Arrow file: cannot be read .*UTF8"):
+        check_batches(path, MEND, 1 << 20)
+
+
+def test_feather_of_version_1_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "old.feather"
+    path.write_bytes(b"FEA1" + bytes(200) + b"FEA1")
+    with pytest.raises(InputError, match="the file is a feather file of version 1"):
+        read_feather(path, ["x"], MEND)
+
+
+def test_a_piece_of_parquet_that_is_too_large_is_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / "texts.parquet"
+    pq.write_table(pa.table({"t": ["x" * 100_000] * 500}), path)
+    rows = ParquetRows(path, ["t"], MEND)
+    monkeypatch.setattr(table_files, "STREAM_LIMIT", 2 << 20)
+    assert sum(batch.num_rows for batch in rows.batches(0, rows_at_once=10)) == 500
+    with pytest.raises(InputError, match="row group 0: holds more than 2097152 bytes"):
+        next(rows.batches(0))

@@ -10,7 +10,7 @@ import sys
 from pathlib import Path
 
 from recast.core.errors import InputError
-from recast.tables import read_feather, read_parquet
+from recast.core.table_files import read_feather, read_parquet
 
 
 def main(path: Path, first: int) -> None:

@@ -1,7 +1,7 @@
 """Foreign pickles of plain values and NumPy arrays, of which nothing is ever run.
 
-A pickle is a program: it may call whatever it names. Here each name that it may use stands for a
-class of this module, which keeps the bytes of an array and calls nothing; any other name is
+A pickle is a program: it may call whatever it names. Here each name that it may use stands for
+something of this module, which keeps the bytes of an array and calls nothing; any other name is
 refused. The interpreter is Python's own, written in Python: unlike the one in C it takes no memory
 for sizes that the file only claims.
 """
@@ -12,13 +12,11 @@ import io
 import math
 import pickle
 import re
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any, ClassVar
 
 import numpy as np
-import torch.serialization as torch_names
 from numpy.typing import NDArray
 
 from recast.core.errors import InputError
@@ -90,74 +88,60 @@ class PickledQuaternion:
         self.value = own.value
 
 
-class _Called:
-    """What a pickle may call: making one of these is the call, and gives something else."""
-
-    def __setstate__(self, state: object) -> None:
-        raise pickle.UnpicklingError("a function with a state")
-
-
-class _Reconstruct(_Called):
+def _reconstruct(*_: object) -> PickledArray:
     """NumPy's function that makes an array to be filled."""
-
-    def __new__(cls, *_: object) -> Any:
-        return PickledArray()
+    return PickledArray()
 
 
-class _Scalar(_Called):
+def _scalar(kind: object, data: object) -> Any:
     """NumPy's function that makes a single number."""
-
-    def __new__(cls, kind: object, data: object) -> Any:
-        if not isinstance(kind, PickledType):
-            raise pickle.UnpicklingError("a number that is not NumPy's")
-        return kind.read(data, (), False).item()
+    if not isinstance(kind, PickledType):
+        raise pickle.UnpicklingError("a number that is not NumPy's")
+    return kind.read(data, (), False).item()
 
 
-class _FromBuffer(_Called):
+def _from_buffer(data: object, kind: object, shape: object, order: object) -> PickledArray:
     """NumPy's function that makes an array of bytes, since protocol 5."""
-
-    def __new__(cls, data: object, kind: object, shape: object, order: object) -> Any:
-        if not isinstance(kind, PickledType):
-            raise pickle.UnpicklingError("an array that is not NumPy's")
-        made = PickledArray()
-        made.value = kind.read(data, shape, order == "F")
-        return made
+    if not isinstance(kind, PickledType):
+        raise pickle.UnpicklingError("an array that is not NumPy's")
+    made = PickledArray()
+    made.value = kind.read(data, shape, order == "F")
+    return made
 
 
-class _Encode(_Called):
+def _encode(text: object, encoding: object = "latin1") -> bytes:
     """How bytes are written before protocol 3: as text of as many characters."""
-
-    def __new__(cls, text: object, encoding: object = "latin1") -> Any:
-        if not isinstance(text, str) or encoding not in ("latin1", "latin-1"):
-            raise pickle.UnpicklingError("bytes in an unknown encoding")
-        return text.encode("latin1")
+    if not isinstance(text, str) or encoding not in ("latin1", "latin-1"):
+        raise pickle.UnpicklingError("bytes in an unknown encoding")
+    return text.encode("latin1")
 
 
-class _NoBytes(_Called):
+def _no_bytes() -> bytes:
     """`bytes`, which protocols before the third call to write none."""
-
-    def __new__(cls) -> Any:
-        return b""
+    return b""
 
 
-class _Table(_Called):
+def _table() -> dict[Any, Any]:
     """`OrderedDict`; an ordinary one keeps the order too."""
-
-    def __new__(cls) -> Any:
-        return {}
+    return {}
 
 
-_NUMPY: dict[str, type] = {"numpy.dtype": PickledType, "numpy.ndarray": PickledArray}
+_NUMPY: dict[str, Callable[..., Any]] = {
+    "numpy.dtype": PickledType,
+    "numpy.ndarray": PickledArray,
+}
 for _core in ("numpy.core", "numpy._core"):  # before and since NumPy 2
-    _NUMPY[f"{_core}.multiarray._reconstruct"] = _Reconstruct
-    _NUMPY[f"{_core}.multiarray.scalar"] = _Scalar
-    _NUMPY[f"{_core}.numeric._frombuffer"] = _FromBuffer
-_ALLOWED: dict[str, type] = {
+    _NUMPY[f"{_core}.multiarray._reconstruct"] = _reconstruct
+    _NUMPY[f"{_core}.multiarray.scalar"] = _scalar
+    _NUMPY[f"{_core}.numeric._frombuffer"] = _from_buffer
+ARRAYS = tuple((own, name) for name, own in _NUMPY.items())
+"""What `read_torch_file` may call to read NumPy's numbers, and arrays as `PickledArray`."""
+_ALLOWED: dict[str, Callable[..., Any]] = {
     **_NUMPY,
-    "_codecs.encode": _Encode,
-    "__builtin__.bytes": _NoBytes,
+    "_codecs.encode": _encode,
+    "__builtin__.bytes": _no_bytes,
     "pyquaternion.quaternion.Quaternion": PickledQuaternion,
-    "collections.OrderedDict": _Table,
+    "collections.OrderedDict": _table,
 }
 """All that a pickle may name."""
 _FILLED = (PickledType, PickledArray, PickledQuaternion)
@@ -231,21 +215,3 @@ def read_pickle(path: Path, mend: str) -> Any:
     except Exception as error:  # the interpreter lets through whatever broken bytes lead to
         reason = type(error).__name__
         raise InputError(path, "pickle", f"is damaged ({reason})", mend) from None
-
-
-@contextmanager
-def arrays_in_checkpoints() -> Iterator[None]:
-    """While it lasts, `torch.load` reads NumPy arrays, as `PickledArray`, and numbers."""
-    before = torch_names.get_safe_globals()
-    names: list[Any] = [PickledArray]
-    for full, own in _NUMPY.items():
-        module, _, name = full.rpartition(".")
-        # torch finds a class by the name it says it has.
-        named = type(name, (own,), {"__module__": module, "__qualname__": name})
-        names.append(named)
-    torch_names.add_safe_globals(names)
-    try:
-        yield
-    finally:
-        torch_names.clear_safe_globals()
-        torch_names.add_safe_globals(before)

@@ -1,11 +1,19 @@
-"""Arrow tables in memory, checked as columns are asked for; feather files (Arrow IPC) of them.
+"""Tables of foreign files, read by pyarrow: parquet and feather (Arrow IPC); columns are checked.
 
-The size of a file in memory is known before it is decompressed.
+`read_feather` and `read_parquet` return an `ArrowTable`, whose methods check a column when it is
+asked for; `ParquetRows` streams a parquet file that is too large for memory; `check_batches` checks
+an Arrow file that another library is about to read. For each of them holds:
+
+- Rows and bytes in memory are compared with a limit after each batch, rows of parquet before.
+- Every decoded batch is validated in full: offsets, lengths, dictionary indices and UTF-8.
+- Whatever Arrow raises is one `InputError` that names the file.
+
+Metadata of a column chunk (`RowGroupMetaData.column`) is never asked for: pyarrow ends the process
+on damage there that its reader only refuses.
 """
 
 from __future__ import annotations
 
-import mmap
 import os
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
@@ -15,23 +23,23 @@ from typing import Any
 
 import numpy as np
 import pyarrow as pa
+import pyarrow.parquet as pq
 from numpy.typing import NDArray
 from pyarrow import ipc
 
 from recast.core.errors import InputError
-from recast.core.files import disk_errors, kind_of_file, read_bytes
-from recast.tables.encodings import Buffer, FlatTable, integer
+from recast.core.files import atomic_file, disk_errors, kind_of_file, read_bytes
 
 ROW_LIMIT = 1 << 22
 """Rows of a table in memory, at most: a text takes up to 60 bytes beside its characters."""
-FEATHER_LIMIT = 1 << 28
-"""Bytes of a feather file on disk, and of its buffers in memory, at most."""
-
-_MAGIC = b"ARROW1"
-_BLOCK = np.dtype([("offset", "<i8"), ("metadata", "<i4"), ("pad", "<i4"), ("body", "<i8")])
-_BUFFER = np.dtype([("offset", "<i8"), ("length", "<i8")])
-_CONTINUATION = 0xFFFFFFFF
-_DICTIONARY, _BATCH = 2, 3  # of the union MessageHeader
+TABLE_LIMIT = 1 << 28
+"""Bytes of a table that is read as a whole, at most: of a feather file, and in memory."""
+STREAM_LIMIT = 1 << 32
+"""Bytes in memory of a batch while a parquet file is read piece by piece, at most."""
+_ROWS_AT_ONCE = 1024
+_FEATHER = "a feather file (Arrow)"
+_KINDS = {"parquet": "a parquet file", "feather": _FEATHER, "Arrow": _FEATHER}
+"""What `kind_of_file` says of whole files; damaged ones of the right kind begin like them."""
 
 
 @dataclass(frozen=True)
@@ -41,7 +49,7 @@ class ArrowTable:
     Attributes:
         path: the file, for messages.
         mend: what the user can do about any fault in it.
-        data: table of at most `ROW_LIMIT` rows; every column is plain (see `require_plain`).
+        data: table of at most `ROW_LIMIT` rows; every column is plain (see `_require_plain`).
     """
 
     path: Path
@@ -131,7 +139,7 @@ class ArrowTable:
         return InputError(self.path, field, problem, self.mend)
 
 
-def require_plain(path: Path, schema: pa.Schema, columns: Iterable[str], mend: str) -> None:
+def _require_plain(path: Path, schema: pa.Schema, columns: Iterable[str], mend: str) -> None:
     """Only types whose size in memory is known: numbers, text, bytes, and lists of numbers.
 
     Raises:
@@ -150,7 +158,7 @@ def require_plain(path: Path, schema: pa.Schema, columns: Iterable[str], mend: s
 
 
 @contextmanager
-def arrow_errors(path: Path, field: str, mend: str) -> Iterator[None]:
+def _arrow_errors(path: Path, field: str, mend: str) -> Iterator[None]:
     """Turn whatever Arrow raises on damaged bytes into one line that names the file.
 
     Raises:
@@ -165,9 +173,7 @@ def arrow_errors(path: Path, field: str, mend: str) -> Iterator[None]:
         reason = " ".join(str(error).split()) or type(error).__name__
         with path.open("rb") as stream:
             kind = kind_of_file(stream.read(512))
-        # Damaged files of the right kind begin like whole ones.
-        wanted = field.split()[0]
-        if kind and wanted in ("feather", "Arrow", "parquet") and wanted not in kind:
+        if kind and kind != _KINDS.get(field.split()[0], kind):
             reason = f"the file is {kind}"
         raise InputError(path, field, f"cannot be read ({reason})", mend) from None
 
@@ -210,28 +216,64 @@ def read_feather(path: Path, columns: Sequence[str], mend: str) -> ArrowTable:
         mend: what the user can do about any fault.
 
     Raises:
-        InputError: the file is missing, damaged, larger than `FEATHER_LIMIT` on disk or in memory,
+        InputError: the file is missing, damaged, larger than `TABLE_LIMIT` on disk or in memory,
             has more than `ROW_LIMIT` rows, or a column is missing or of no plain type.
     """
-    path = Path(path)
+    path, field = Path(path), "feather table"
     if not path.is_file():
         raise InputError(path, "file", "is missing", mend)
-    data = read_bytes(path, FEATHER_LIMIT)
-    with arrow_errors(path, "feather table", mend):
-        rows, size = declared_size(data)
-        if rows > ROW_LIMIT or size > FEATHER_LIMIT:
-            problem = (
-                f"claims {rows} rows and {size} bytes, {ROW_LIMIT} and {FEATHER_LIMIT} at most"
-            )
-            raise InputError(path, "feather table", problem, mend)
+    data = read_bytes(path, TABLE_LIMIT)
+    with _arrow_errors(path, field, mend):
         buffer = pa.BufferReader(data)
         schema = ipc.open_file(buffer).schema
-        require_plain(path, schema, columns, mend)
+        _require_plain(path, schema, columns, mend)
         wanted = sorted(schema.get_field_index(name) for name in columns)
         options = ipc.IpcReadOptions(use_threads=False, included_fields=wanted)
-        table = ipc.open_file(buffer, options=options).read_all()
-        table.validate(full=True)
-    return ArrowTable(path, mend, table)
+        reader = ipc.open_file(buffer, options=options)
+        return _whole(path, field, mend, reader.schema, _batches(reader))
+
+
+def _batches(reader: ipc.RecordBatchFileReader) -> Iterator[pa.RecordBatch]:
+    for index in range(reader.num_record_batches):
+        batch = reader.get_batch(index)
+        batch.validate(full=True)
+        yield batch
+
+
+def read_parquet(path: Path, columns: Sequence[str], mend: str) -> ArrowTable:
+    """Columns of a parquet file; others that it has are not decoded.
+
+    Args:
+        mend: what the user can do about any fault.
+
+    Raises:
+        InputError: the file is missing or damaged, has more than `ROW_LIMIT` rows, takes more than
+            `TABLE_LIMIT` bytes in memory, or a column is missing or of no plain type.
+    """
+    rows = ParquetRows(path, columns, mend)
+    field, count = "parquet table", int(rows.first_rows[-1])
+    if count > ROW_LIMIT:
+        raise InputError(path, field, f"has {count} rows, {ROW_LIMIT} are read at most", mend)
+    batches = (
+        batch
+        for group in range(len(rows.first_rows) - 1)
+        for batch in rows.batches(group, rows_at_once=ROW_LIMIT)
+    )
+    return _whole(Path(path), field, mend, rows.schema, batches)
+
+
+def _whole(
+    path: Path, field: str, mend: str, schema: pa.Schema, batches: Iterable[pa.RecordBatch]
+) -> ArrowTable:
+    """A table of all batches, each checked before the next is decoded."""
+    kept, rows, size = [], 0, 0
+    for batch in batches:
+        rows, size = rows + batch.num_rows, size + batch.nbytes
+        if rows > ROW_LIMIT or size > TABLE_LIMIT:
+            problem = f"has over {ROW_LIMIT} rows, or over {TABLE_LIMIT} bytes in memory"
+            raise InputError(path, field, problem, mend)
+        kept.append(batch)
+    return ArrowTable(path, mend, pa.Table.from_batches(kept, schema))
 
 
 def check_batches(path: Path, mend: str, limit: int) -> None:
@@ -243,75 +285,76 @@ def check_batches(path: Path, mend: str, limit: int) -> None:
     Raises:
         InputError: it is damaged, or a batch is larger.
     """
-    with arrow_errors(path, "Arrow file", mend), path.open("rb") as stream:
-        if stream.read(len(_MAGIC)) != _MAGIC:
-            raise ValueError("is not an Arrow file")
-        with mmap.mmap(stream.fileno(), 0, access=mmap.ACCESS_READ) as data:
-            largest = max((size for _, size in _batch_sizes(data)), default=0)
-        if largest > limit:
-            raise InputError(path, "Arrow file", f"a batch claims {largest} bytes", mend)
-        with pa.memory_map(os.fsencode(path)) as source:
-            reader = ipc.open_file(source, options=ipc.IpcReadOptions(use_threads=False))
-            for i in range(reader.num_record_batches):
-                reader.get_batch(i).validate(full=True)
+    field = "Arrow file"
+    with _arrow_errors(path, field, mend), pa.memory_map(os.fsencode(path)) as source:
+        reader = ipc.open_file(source, options=ipc.IpcReadOptions(use_threads=False))
+        for batch in _batches(reader):
+            if batch.nbytes > limit:
+                problem = f"has a batch of {batch.nbytes} bytes, {limit} are read at most"
+                raise InputError(path, field, problem, mend)
 
 
-def declared_size(data: Buffer) -> tuple[int, int]:
-    """Rows of an Arrow IPC file, and bytes that its buffers take once decompressed.
-
-    Arrow takes the memory that a compressed buffer claims for itself before it decompresses it.
+def write_parquet(path: Path, table: pa.Table) -> None:
+    """Write a table, whole or not at all; the same table gives the same bytes.
 
     Raises:
-        ValueError: it is no such file, or a part of its metadata points outside of it.
+        InputError: the disk refuses.
     """
-    rows, sizes = zip((0, 0), *_batch_sizes(data), strict=True)
-    return sum(rows), sum(sizes)
+    with atomic_file(path) as partial, partial.open("wb") as stream:
+        pq.write_table(table, stream)
 
 
-def _batch_sizes(data: Buffer) -> Iterator[tuple[int, int]]:
-    """Rows (0 for a dictionary) and decompressed bytes of each message."""
-    if data[:4] == b"FEA1":
-        raise ValueError("feather version 1; write it again as version 2")
-    if data[: len(_MAGIC)] != _MAGIC or data[-len(_MAGIC) :] != _MAGIC:
-        raise ValueError("is not an Arrow file, or is truncated")
-    end = len(data) - len(_MAGIC) - 4
-    length = integer(data, end, 4)
-    if not 0 < length <= end - 8:
-        raise ValueError("the footer is longer than the file")
-    footer = FlatTable.root(data[end - length : end])
-    for slot, kind in ((2, _DICTIONARY), (3, _BATCH)):
-        for block in footer.structs(slot, _BLOCK):
-            batch, start, stop = _batch(data, block, kind)
-            rows = batch.integer(0, 8) if kind == _BATCH else 0
-            yield rows, sum(_buffer_sizes(batch, data, start, stop))
+class ParquetRows:
+    """Some columns of a parquet file, read piece by piece.
 
+    Attributes:
+        schema: Arrow schema of these columns.
+        first_rows: (groups + 1,) the number of each row group's first row, and of all rows.
+    """
 
-def _batch(data: Buffer, block: np.void, kind: int) -> tuple[FlatTable, int, int]:
-    """The RecordBatch of a message, and where its buffers begin and end."""
-    start, metadata, length = (int(block[name]) for name in ("offset", "metadata", "body"))
-    body = start + metadata
-    if start < 0 or metadata < 8 or length < 0 or body + length > len(data):
-        raise ValueError("a block lies outside of the file")
-    if integer(data, start, 4, signed=False) != _CONTINUATION:
-        raise ValueError("a message without its marker; write the file again")
-    message = FlatTable.root(data[start + 8 : body])
-    header = message.table(2)
-    if header is None or message.integer(1, 1) != kind or message.integer(3, 8) != length:
-        raise ValueError("a message is of another kind or size than the footer says")
-    batch = header.table(1) if kind == _DICTIONARY else header
-    if batch is None or batch.integer(0, 8) < 0:
-        raise ValueError("a message without rows")
-    return batch, body, body + length
+    def __init__(self, path: Path, columns: Sequence[str], mend: str) -> None:
+        """Open a file and read what it says of itself.
 
+        Args:
+            mend: what the user can do about any fault.
 
-def _buffer_sizes(batch: FlatTable, data: Buffer, start: int, stop: int) -> Iterator[int]:
-    compressed = batch.table(3) is not None
-    for offset, length in batch.structs(2, _BUFFER).tolist():
-        at = start + offset
-        if offset < 0 or length < 0 or at + length > stop:
-            raise ValueError("a buffer lies outside of its message")
-        # A compressed buffer begins with its size in memory; -1 says that it is stored as it is.
-        claimed = integer(data, at, 8) if compressed and length else -1
-        if claimed < -1:
-            raise ValueError("a buffer of negative size")
-        yield length if claimed == -1 else claimed
+        Raises:
+            InputError: the file is missing or damaged, or a column is missing or of no plain type.
+        """
+        self._path, self._columns, self._mend = Path(path), [*columns], mend
+        if not self._path.is_file():
+            raise InputError(path, "file", "is missing", mend)
+        with _arrow_errors(self._path, "parquet file", mend):
+            # Column chunks are read bit by bit: whole, those of a row group may be 100 MB.
+            stream = pa.OSFile(os.fsencode(self._path))  # a text would be taken as UTF-8
+            self._file = pq.ParquetFile(stream, buffer_size=1 << 20)
+            schema, metadata = self._file.schema_arrow, self._file.metadata
+            _require_plain(self._path, schema, columns, mend)
+            self.schema = pa.schema([schema.field(name) for name in columns])
+            groups = [metadata.row_group(group) for group in range(metadata.num_row_groups)]
+            counts = [group.num_rows for group in groups]
+            if min(counts, default=0) < 0 or sum(counts) >= 1 << 62:
+                raise ValueError("a row group without a number of rows")
+        self.first_rows = np.cumsum([0, *counts], dtype=np.int64)
+
+    def batches(self, group: int, rows_at_once: int = _ROWS_AT_ONCE) -> Iterator[pa.RecordBatch]:
+        """The rows of a row group in order, at most `rows_at_once` at a time, validated in full.
+
+        Raises:
+            InputError: the file is damaged, or a piece takes more than `STREAM_LIMIT` bytes.
+        """
+        field = f"row group {group}"
+        left = int(self.first_rows[group + 1] - self.first_rows[group])
+        with _arrow_errors(self._path, field, self._mend):
+            found = self._file.iter_batches(
+                rows_at_once, row_groups=[group], columns=self._columns, use_threads=False
+            )
+        while left:
+            with _arrow_errors(self._path, field, self._mend):
+                batch = next(found).select(self._columns)
+                batch.validate(full=True)
+                left -= batch.num_rows
+                if batch.nbytes > STREAM_LIMIT or left < 0:
+                    problem = f"holds more than {STREAM_LIMIT} bytes, or more rows than it says"
+                    raise InputError(self._path, field, problem, self._mend)
+            yield batch

@@ -1,8 +1,9 @@
-"""Arrays of numpy from foreign files: sizes in headers are compared before memory is taken."""
+"""Arrays of NumPy from foreign files: damage is one line, and nothing is unpickled."""
 
 from __future__ import annotations
 
 import io
+import pickle
 import zipfile
 from pathlib import Path
 from typing import Any
@@ -10,8 +11,8 @@ from typing import Any
 import numpy as np
 import pytest
 
+from recast.core.array_files import npz_names, read_npy, read_npz
 from recast.core.errors import InputError
-from recast.tables import read_npy, read_npz
 
 MEND = "mend it"
 
@@ -42,6 +43,7 @@ def test_arrays_come_back_as_they_were(tmp_path: Path, array: Any) -> None:
     np.savez_compressed(tmp_path / "a.npz", a=array, b=[1])
     np.testing.assert_array_equal(read_npz(tmp_path / "a.npz", MEND)["a"], array)
     assert list(read_npz(tmp_path / "a.npz", MEND, ["b"])) == ["b"]
+    assert npz_names(tmp_path / "a.npz", MEND) == ["a", "b"]
 
 
 def changed(header: str) -> bytes:
@@ -54,24 +56,23 @@ def changed(header: str) -> bytes:
 @pytest.mark.parametrize(
     ("data", "message"),
     [
-        (b"", "damaged header"),
-        (b"\x93NUMPY\x01\x00", "damaged header"),
-        (b"\x93NUMPY\x09\x00" + bytes(200), "damaged header"),
-        (changed("{'descr': '<f4', 'fortran_order': False, 'shape': (8"), "damaged header"),
-        (changed("{'descr': '<f4', 'fortran_order': False, 'shape': [8]}"), "damaged header"),
-        (changed("(" * 100), "damaged header"),
-        (changed("{'descr': '<f4', 'fortran_order': False, 'shape': (10**9,)}"), "damaged header"),
+        (b"", "cannot be read"),
+        (b"\x93NUMPY\x01\x00", "cannot be read"),
+        (b"\x93NUMPY\x09\x00" + bytes(200), "cannot be read"),
+        (b"PK\x05\x06" + bytes(18), "cannot be read"),
+        (pickle.dumps([1]), "cannot be read"),
+        (changed("{'descr': '<f4', 'fortran_order': False, 'shape': (8"), "cannot be read"),
+        (changed("{'descr': '<f4', 'fortran_order': False, 'shape': [8]}"), "cannot be read"),
+        (changed("(" * 100), "cannot be read"),
+        (changed("{'descr': '<f4', 'fortran_order': False, 'shape': (10**9,)}"), "cannot be read"),
         (
             changed("{'descr': '<f4', 'fortran_order': False, 'shape': (99999999999,)}"),
-            "says 399999999996 bytes of values, 32 are present",
+            "cannot be read",
         ),
-        (
-            changed("{'descr': '<f4', 'fortran_order': False, 'shape': (-2, -4)}"),
-            r"has the shape \(-2, -4\)",
-        ),
+        (changed("{'descr': '<f4', 'fortran_order': False, 'shape': (-2, -4)}"), "cannot be read"),
         (
             changed("{'descr': '<f4', 'fortran_order': False, 'shape': (7,)}"),
-            "says 28 bytes of values, 32 are present",
+            "has 4 bytes after its values",
         ),
         (changed("{'descr': '|O', 'fortran_order': False, 'shape': (4,)}"), "never loaded"),
         (changed("{'descr': '|V4', 'fortran_order': False, 'shape': (8,)}"), "not plain values"),
