@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from recast.logs import DrivingLog
-from recast.scene import SceneConfig, TrainingStatus, TrainResult, train_scene
+from recast.reconstruction import SceneConfig, TrainingStatus, TrainResult, train_scene
 
 TINY = SceneConfig(
     scale=1.0,

@@ -11,10 +11,12 @@ from scipy.spatial.transform import Rotation
 
 from recast.core.errors import InputError
 from recast.logs import DrivingLog, Track, Trajectory
-from recast.scene import SceneConfig, load_scene, train_scene
-from recast.scene.bodies import Skinning, read_bodies
-from recast.scene.densify import plan_change
-from recast.scene.tensor_file import BODIES_FILE, read_tensors, write_tensors
+from recast.reconstruction import SceneConfig, train_scene
+from recast.reconstruction.bodies import read_bodies
+from recast.reconstruction.densify import plan_change
+from recast.scene import load_scene
+from recast.scene.deformation import Skinning
+from recast.scene.store import BODIES_FILE, read_tensors, write_tensors
 from recast.splats.gaussians import quat_multiply, quat_to_matrix
 from scene.made_up import part
 

@@ -10,18 +10,18 @@ import numpy as np
 import pytest
 
 from recast.logs import DrivingLog
-from recast.scene import SceneConfig, TrainingStatus, TrainResult, train_scene
-from recast.scene.initialise import (
+from recast.reconstruction import SceneConfig, TrainingStatus, TrainResult, train_scene
+from recast.reconstruction.densify import (
     EACH_M2,
-    FIRST_SHARE,
     PIXELS_EACH,
-    REACH_M,
+    STREET_REACH_M,
     Budget,
     gaussian_budget,
     street_area,
 )
-from recast.scene.run import describe
-from recast.scene.views import read_views
+from recast.reconstruction.first_points import FIRST_SHARE
+from recast.reconstruction.views import read_views
+from recast.runs.scene import describe
 
 from .conftest import TINY
 
@@ -31,8 +31,8 @@ from .conftest import TINY
 def test_the_street_along_a_drive(length: float, heading: float) -> None:
     steps = np.linspace(0, length, 200)
     drive = np.stack([np.cos(heading) * steps, np.sin(heading) * steps], axis=-1)
-    wanted = 2 * REACH_M * length + math.pi * REACH_M**2
-    outline = 2 * length + 2 * math.pi * REACH_M
+    wanted = 2 * STREET_REACH_M * length + math.pi * STREET_REACH_M**2
+    outline = 2 * length + 2 * math.pi * STREET_REACH_M
     # Cells of 5 m along the outline count whole or not at all, and positions are rounded to cells.
     assert abs(street_area(drive) - wanted) <= 5 * math.sqrt(2) * outline
     there_and_back = np.concatenate([drive, drive[::-1]])

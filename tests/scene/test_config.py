@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from recast.core.errors import InputError
-from recast.scene import SceneConfig, read_config, write_config
+from recast.reconstruction import SceneConfig, read_config, write_config
 
 
 def test_round_trip(tmp_path: Path) -> None:

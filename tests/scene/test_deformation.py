@@ -10,13 +10,10 @@ import torch
 
 from recast.core.errors import InputError
 from recast.logs import DrivingLog, Trajectory
-from recast.scene import (
-    SceneRasterizer,
-    TrainingStatus,
-    TrainResult,
-    load_scene,
-    train_scene,
-)
+from recast.reconstruction import TrainingStatus, TrainResult, train_scene
+from recast.reconstruction.train import WORK_FOLDER
+from recast.reconstruction.views import deforms, read_views
+from recast.scene import SceneRasterizer, load_scene
 from recast.scene.deformation import (
     Deformation,
     DeformationNetwork,
@@ -24,10 +21,7 @@ from recast.scene.deformation import (
     encoded_size,
     layer_shapes,
 )
-from recast.scene.dynamic import deforms
-from recast.scene.tensor_file import DEFORMATION_FILE, read_tensors, write_tensors
-from recast.scene.train import WORK_FOLDER
-from recast.scene.views import read_views
+from recast.scene.store import DEFORMATION_FILE, read_tensors, write_tensors
 from recast.splats import Gaussians
 from scene.made_up import part
 

@@ -3,7 +3,8 @@ from __future__ import annotations
 import pytest
 import torch
 
-from recast.scene.densify import GradientStatistics, Measure, plan_change
+from recast.reconstruction.config import Measure
+from recast.reconstruction.densify import GradientStatistics, plan_change
 from recast.splats import Gaussians, RasterMeta
 
 

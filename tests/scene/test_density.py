@@ -8,10 +8,10 @@ import pytest
 import torch
 
 from recast.logs import Track, Trajectory
-from recast.scene import SceneConfig, resolve_config
-from recast.scene.density_control import RESET_OPACITY, control_density, reset_opacities
-from recast.scene.schedule import DensitySchedule
-from recast.scene.trainable import TrainableScene, rows
+from recast.reconstruction import SceneConfig, resolve_config
+from recast.reconstruction.densify import RESET_OPACITY, control_density, reset_opacities, rows
+from recast.reconstruction.schedule import DensitySchedule
+from recast.reconstruction.step import TrainableScene
 
 from .made_up import part
 

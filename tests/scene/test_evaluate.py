@@ -12,7 +12,8 @@ from PIL import Image
 from recast.core.errors import InputError
 from recast.logs import DrivingLog, LidarSweep
 from recast.logs.types import SweepSource
-from recast.scene import SHIFTS, SceneConfig, TrainResult, evaluate_scene, load_scene, psnr
+from recast.reconstruction import SHIFTS, SceneConfig, TrainResult, evaluate_scene, psnr
+from recast.scene import load_scene
 
 from .conftest import TINY
 

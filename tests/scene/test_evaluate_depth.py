@@ -11,9 +11,9 @@ import pytest
 from recast.cameras import PinholeCamera
 from recast.geometry import se2, se3
 from recast.logs import DrivingLog, LidarStream, LidarSweep, Trajectory
+from recast.reconstruction.scores import DepthScore, SweepsOfImages, depth_score, mean_depth
+from recast.reconstruction.views import TrainingView
 from recast.scene import SceneImage
-from recast.scene.evaluate_record import DepthScore, SweepsOfImages, depth_score, mean_depth
-from recast.scene.views import TrainingView
 
 CAMERA = PinholeCamera(60, 40, 50.0, 50.0, 30.0, 20.0)
 AHEAD = np.array([[0.0, -1, 0, 0], [0, 0, -1, 0], [1, 0, 0, 0], [0, 0, 0, 1]])

@@ -8,7 +8,7 @@ import pytest
 from recast.cameras import PinholeCamera
 from recast.geometry import boxes, se3
 from recast.logs import DrivingLog, Track, Trajectory
-from recast.scene.scores import (
+from recast.reconstruction.scores import (
     LPIPS_SIDE,
     MovingRegion,
     RegionScore,
@@ -17,7 +17,7 @@ from recast.scene.scores import (
     moving_tracks,
     score_regions,
 )
-from recast.scene.views import TrainingView
+from recast.reconstruction.views import TrainingView
 
 CAMERA = PinholeCamera(120, 80, 100.0, 100.0, 60.0, 40.0)
 SIZE = np.array([4.0, 2.0, 1.5])

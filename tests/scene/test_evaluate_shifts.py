@@ -13,7 +13,7 @@ from PIL import Image
 
 from recast.geometry import se3
 from recast.logs import DrivingLog, Track, Trajectory
-from recast.scene import (
+from recast.reconstruction import (
     SHIFTS,
     SceneEvaluation,
     ShiftedView,
@@ -21,10 +21,10 @@ from recast.scene import (
     ViewShift,
     evaluate_scene,
     psnr,
-    render_scene,
 )
-from recast.scene.evaluate import held_out_frames
-from recast.scene.evaluate_shifts import shifted_views
+from recast.reconstruction.evaluate import held_out_frames
+from recast.reconstruction.evaluation import shifted_views
+from recast.scene import render_scene
 
 from .conftest import TINY
 

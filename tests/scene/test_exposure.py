@@ -4,8 +4,9 @@ import numpy as np
 import torch
 
 from recast.cameras import PinholeCamera
-from recast.scene.appearance import Exposures, exposed, exposed_colours
-from recast.scene.views import TrainingView
+from recast.reconstruction.tables import Exposures
+from recast.reconstruction.views import TrainingView
+from recast.scene.appearance import exposed, exposed_colours
 from recast.splats import rasterize
 
 from .made_up import K, part

@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from recast.logs import GroundHeight
-from recast.scene.density_control import REACH_M, THICKNESS_M, GroundSheet
+from recast.reconstruction.densify import REACH_M, THICKNESS_M, GroundSheet
 from recast.splats import Gaussians
 from recast.splats.gaussians import quat_to_matrix
 

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from recast.scene import psnr, ssim
+from recast.reconstruction import psnr, ssim
 
 
 def naive_ssim(x: np.ndarray, y: np.ndarray) -> float:

@@ -8,11 +8,11 @@ import pytest
 from recast.core.errors import InputError
 from recast.geometry import boxes, se3
 from recast.logs import DrivingLog, Trajectory
-from recast.scene.config import SceneConfig
-from recast.scene.dynamic import choose_actors, modelled_tracks, pose_at, stands
-from recast.scene.initialise import Initialisation, initialise
-from recast.scene.points import depth_samples, read_sweeps
-from recast.scene.views import TrainingView, read_views
+from recast.reconstruction.config import SceneConfig
+from recast.reconstruction.first_points import Initialisation, initialise
+from recast.reconstruction.points import depth_samples, read_sweeps
+from recast.reconstruction.views import TrainingView, choose_actors, modelled_tracks, read_views
+from recast.scene.poses import pose_at, stands
 from support import tiny_world
 
 CONFIG = SceneConfig(scale=1.0, voxel_m=0.3, sweep_points=1000)

@@ -13,7 +13,7 @@ import pytest
 from faults.children import KILL, Ended, Fault, command
 from faults.conftest import Unbroken, unbroken
 from recast.logs import read_log
-from recast.scene import SceneConfig, TrainingStatus, train_scene, write_config
+from recast.reconstruction import SceneConfig, TrainingStatus, train_scene, write_config
 
 from .conftest import TINY
 

@@ -5,11 +5,9 @@ import pytest
 import torch
 
 from recast.cameras import PinholeCamera
-from recast.scene import SceneConfig
-from recast.scene.levels import MAX_DEPTHS, make_level
-from recast.scene.points import DepthSamples
-from recast.scene.schedule import coarse_factor
-from recast.scene.views import TrainingView
+from recast.reconstruction import SceneConfig
+from recast.reconstruction.schedule import coarse_factor
+from recast.reconstruction.views import MAX_DEPTHS, DepthSamples, TrainingView, make_level
 
 CAMERA = PinholeCamera(61, 38, 50.0, 50.0, 30.0, 19.0)
 

@@ -5,12 +5,7 @@ import math
 import pytest
 import torch
 
-from recast.scene.losses import (
-    depth_loss,
-    sky_entropy,
-    sky_loss,
-    solid_loss,
-)
+from recast.reconstruction.losses import depth_loss, sky_entropy, sky_loss, solid_loss
 
 
 def test_depth_loss_is_relative_and_trimmed() -> None:

@@ -8,7 +8,7 @@ import pytest
 import torch
 
 from recast.kernel import info, set_threads
-from recast.scene.photometric import photometric_loss, photometric_reference
+from recast.reconstruction.losses import photometric_loss, photometric_reference
 
 # Blurs of squares up to q are off by at most 14 roundings (products, and two sums of six terms); a
 # variance is a difference of such blurs and counts over C2 at the least, which is 9e-4: so a

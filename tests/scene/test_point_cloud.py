@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import torch
 
-from recast.scene.points import (
+from recast.reconstruction.points import (
     PointCloud,
     concatenate,
     gaussians_from_points,

@@ -7,8 +7,8 @@ from typing import get_args
 import pytest
 
 from recast.core.errors import InputError
-from recast.scene import SceneConfig, read_config, resolve_config, write_config
-from recast.scene.presets import MOST_DEFORMATION_RATE, Preset, preset_values
+from recast.reconstruction import SceneConfig, read_config, resolve_config, write_config
+from recast.reconstruction.config import MOST_DEFORMATION_RATE, Preset, preset_values
 
 NAMES = get_args(Preset)
 

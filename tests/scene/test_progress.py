@@ -4,8 +4,8 @@ import io
 
 from rich.console import Console
 
-from recast.scene import TrainingDisplay, TrainingStatus
-from recast.scene.run import describe
+from recast.reconstruction import TrainingStatus
+from recast.runs.scene import TrainingDisplay, describe
 
 STATUS = TrainingStatus(
     "train",

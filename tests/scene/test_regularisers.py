@@ -8,12 +8,10 @@ import torch
 
 from recast.cameras import PinholeCamera
 from recast.logs import Track, Trajectory
-from recast.scene.levels import make_level
-from recast.scene.losses import TrackSmoothness, actor_opacity, actors_alone, sharp_shape
-from recast.scene.points import DepthSamples
-from recast.scene.poses import TrackPoses
-from recast.scene.trainable import TrainableScene
-from recast.scene.views import TrainingView
+from recast.reconstruction.losses import TrackSmoothness, actor_opacity, actors_alone, sharp_shape
+from recast.reconstruction.step import TrainableScene
+from recast.reconstruction.tables import TrackPoses
+from recast.reconstruction.views import DepthSamples, TrainingView, make_level
 from recast.splats import Gaussians
 
 from .made_up import part

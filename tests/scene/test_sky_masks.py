@@ -10,10 +10,9 @@ import torch
 
 from recast.core.errors import InputError
 from recast.logs import DrivingLog
-from recast.scene import SceneConfig
-from recast.scene.points import DepthSamples
-from recast.scene.sky_masks import sky_mask, sky_masks
-from recast.scene.views import TrainingView, read_view
+from recast.reconstruction import SceneConfig
+from recast.reconstruction.sky_masks import sky_mask, sky_masks
+from recast.reconstruction.views import DepthSamples, TrainingView, read_view
 
 CAMERA = "image_02"
 

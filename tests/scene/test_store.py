@@ -12,9 +12,10 @@ import torch
 from safetensors.torch import save_file
 
 from recast.core.errors import InputError
-from recast.scene import SceneActor, StreetScene, TrainResult, load_scene, save_scene
-from recast.scene.tensor_file import read_tensors, write_tensors
-from recast.scene.trainable import rows
+from recast.reconstruction import TrainResult
+from recast.reconstruction.densify import rows
+from recast.scene import SceneActor, StreetScene, load_scene, save_scene
+from recast.scene.store import read_tensors, write_tensors
 from recast.splats import Gaussians
 
 

@@ -11,13 +11,13 @@ import torch
 
 from recast.core.errors import InputError
 from recast.logs import DrivingLog, ego_path, even_ground
-from recast.scene import SceneRasterizer, TrainingStatus, TrainResult, train_scene
-from recast.scene.density_control import REACH_M, GroundSheet
-from recast.scene.dynamic import choose_actors
-from recast.scene.points import read_sweeps
-from recast.scene.tensor_file import read_tensors, write_tensors
-from recast.scene.train import WORK_FOLDER
-from recast.scene.views import read_views
+from recast.reconstruction import TrainingStatus, TrainResult, train_scene
+from recast.reconstruction.densify import REACH_M, GroundSheet
+from recast.reconstruction.points import read_sweeps
+from recast.reconstruction.train import WORK_FOLDER
+from recast.reconstruction.views import choose_actors, read_views
+from recast.scene import SceneRasterizer
+from recast.scene.store import read_tensors, write_tensors
 
 from .conftest import TINY
 

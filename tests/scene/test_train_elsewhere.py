@@ -16,10 +16,10 @@ import torch
 from recast.cameras import CameraMount
 from recast.geometry import se3
 from recast.logs import DrivingLog
-from recast.scene import TrainingStatus, TrainResult, train_scene
-from recast.scene.photometric import photometric_loss
+from recast.reconstruction import TrainingStatus, TrainResult, train_scene
+from recast.reconstruction.losses import photometric_loss
+from recast.reconstruction.train import WORK_FOLDER
 from recast.scene.render import SceneRasterizer
-from recast.scene.train import WORK_FOLDER
 from recast.simulation.scene_renderer import SceneRenderer
 from recast.splats import Rasterization, rasterize
 from recast.splats.cuda import pick_device
@@ -63,11 +63,11 @@ def rasterize_elsewhere(
 @pytest.fixture
 def there(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     """`ELSEWHERE` is the device that is picked."""
-    for name in ("scene.trainer", "scene.losses", "splats.rasterize"):
+    for name in ("reconstruction.step", "reconstruction.losses", "splats.rasterize"):
         monkeypatch.setattr(sys.modules[f"recast.{name}"], "rasterize", rasterize_elsewhere)
-    for name in ("train", "render"):
+    for name in ("reconstruction.train", "scene.render"):
         monkeypatch.setattr(
-            sys.modules[f"recast.scene.{name}"],
+            sys.modules[f"recast.{name}"],
             "pick_device",
             lambda name: ELSEWHERE if name == "auto" else pick_device(name),
         )

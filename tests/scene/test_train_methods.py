@@ -10,15 +10,9 @@ import pytest
 import torch
 
 from recast.logs import DrivingLog
-from recast.scene import (
-    SceneConfig,
-    SceneRasterizer,
-    TrainingStatus,
-    TrainResult,
-    load_scene,
-    train_scene,
-)
-from recast.scene.views import read_view
+from recast.reconstruction import SceneConfig, TrainingStatus, TrainResult, train_scene
+from recast.reconstruction.views import read_view
+from recast.scene import SceneRasterizer, load_scene
 from recast.splats import Rasterization, rasterize
 
 EVERYTHING = SceneConfig(
@@ -92,7 +86,7 @@ def test_sizes_of_gradients_are_computed_only_while_they_count(
         asked.append(absgrad)
         return rasterize(*arguments, absgrad=absgrad)
 
-    monkeypatch.setattr("recast.scene.trainer.rasterize", spy)
+    monkeypatch.setattr("recast.reconstruction.step.rasterize", spy)
     short = EVERYTHING.model_copy(update={"iterations": 4, "densify_until": 0.5})
     train_scene(tiny_log, tmp_path / "absolute", short)
     assert asked == [True, True, False, False]

@@ -3,8 +3,9 @@ from __future__ import annotations
 import pytest
 import torch
 
+from recast.reconstruction.densify import rows
+from recast.reconstruction.step import COLOUR_LIMIT, MIN_LOG_SCALE, TrainableScene
 from recast.scene.appearance import coloured, mirrored
-from recast.scene.trainable import COLOUR_LIMIT, MIN_LOG_SCALE, TrainableScene, rows
 from recast.splats import Gaussians, concatenate, rasterize
 
 from .made_up import K, part

@@ -6,9 +6,9 @@ import torch
 
 from recast.cameras import PinholeCamera
 from recast.geometry import se3
-from recast.scene import SceneConfig
+from recast.reconstruction import SceneConfig
+from recast.reconstruction.tables import CubeSky, PanoramaSky, make_sky
 from recast.scene.sky import SkyMap, sample_cubemap, texel_directions
-from recast.scene.trainable import CubeSky, PanoramaSky, make_sky
 
 CAMERA = PinholeCamera(24, 16, 20.0, 22.0, 11.0, 9.0)
 OPENCV = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])

@@ -8,8 +8,8 @@ import pytest
 from recast.cameras import PinholeCamera
 from recast.core.errors import InputError
 from recast.logs import DrivingLog
-from recast.scene.config import SceneConfig
-from recast.scene.views import camera_names, read_view, read_views, scaled_camera
+from recast.reconstruction.config import SceneConfig
+from recast.reconstruction.views import camera_names, read_view, read_views, scaled_camera
 
 
 def test_kittis_half_size_and_principal_point() -> None:

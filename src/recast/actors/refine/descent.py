@@ -13,13 +13,13 @@ from scipy.spatial import cKDTree
 from torch import Tensor
 
 from recast.actors.actor import Actor
-from recast.actors.drawing import draw
 from recast.actors.icp import outer_surface, thinned
 from recast.actors.refine.parameters import FIELDS, Bend, FreeGaussians, PoseOffsets
 from recast.actors.refine.surroundings import Layers
+from recast.reconstruction.losses import photometric_loss
+from recast.reconstruction.schedule import generator, picked_view
+from recast.scene.actor import draw
 from recast.scene.appearance import mirrored
-from recast.scene.photometric import photometric_loss
-from recast.scene.schedule import generator, picked_view
 from recast.splats import Gaussians, LowPass
 
 SSIM_WEIGHT = 0.2

@@ -34,8 +34,8 @@ from recast.actors.refine.visibility import follow_paint, visibility_of
 from recast.core.progress import Progress
 from recast.logs import Trajectory
 from recast.scene import StreetScene
-from recast.scene.dynamic import DEFORMABLE
-from recast.scene.tensor_file import read_tensors, write_tensors
+from recast.scene.poses import DEFORMABLE
+from recast.scene.store import read_tensors, write_tensors
 from recast.splats import Gaussians
 
 LEAST_IMAGES = 5

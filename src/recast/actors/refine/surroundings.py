@@ -18,13 +18,13 @@ import torch
 from torch import Tensor
 
 from recast.actors.actor import Actor
-from recast.actors.drawing import draw
 from recast.actors.evidence import Evidence, Sighting
 from recast.actors.icp import outer_surface, thinned
 from recast.arrays import Array
 from recast.geometry import boxes, se3
 from recast.geometry.colour import GAMMA
 from recast.scene import StreetScene
+from recast.scene.actor import draw
 from recast.scene.light import CastShadow, SceneLight
 from recast.scene.light.sun import DIRECTIONS
 from recast.scene.sky import composite, pixel_coordinates

@@ -21,9 +21,9 @@ from scipy.spatial import cKDTree
 from torch import Tensor
 
 from recast.actors.coverage import Shares
-from recast.actors.drawing import draw
 from recast.actors.refine.surroundings import Layers
 from recast.arrays import Array
+from recast.scene.actor import draw
 from recast.scene.appearance import mirrored
 from recast.splats import Gaussians, LowPass
 from recast.splats.gaussians import quat_to_matrix

@@ -1,28 +1,176 @@
-"""What befalls Gaussians between steps: density control, and even ground that lies as a sheet."""
+"""What befalls Gaussians between steps: density control, its limit, and even ground as a sheet."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
+import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor
 
+from recast.core.records import Record
 from recast.logs import GroundHeight, Track
-from recast.scene.config import SceneConfig
-from recast.scene.densify import DensityChange, GradientStatistics, plan_change
-from recast.scene.trainable import TrainableScene, rows
-from recast.splats import Gaussians, RowAdam, concatenate, morton_order
+from recast.reconstruction.config import Measure, SceneConfig
+from recast.reconstruction.views import TrainingView
+from recast.splats import Gaussians, RasterMeta, RowAdam, concatenate, morton_order
 from recast.splats.gaussians import quat_multiply, quat_to_matrix
+
+if TYPE_CHECKING:
+    from recast.reconstruction.step import TrainableScene
+
+FIELDS = ("means", "quats", "log_scales", "logit_opacities", "sh")
+SPLIT_SHRINK = 1.6
+
+
+def rows(gaussians: Gaussians) -> dict[str, Tensor]:
+    """The fields by name."""
+    return {name: getattr(gaussians, name) for name in FIELDS}
+
+
+class GradientStatistics:
+    """Mean screen-space gradient of every row over the views that saw it, in NDC units.
+
+    A pixel gradient times half the image size is the gradient in normalised device coordinates, in
+    which 3DGS states its thresholds.
+    """
+
+    def __init__(self, count: int, device: torch.device | str = "cpu") -> None:
+        self.total = torch.zeros(count, device=device)
+        self.views = torch.zeros(count, device=device)
+
+    def add(
+        self,
+        meta: RasterMeta,
+        rows: slice,
+        into: slice,
+        width: int,
+        height: int,
+        measure: Measure = "signed",
+    ) -> None:
+        """Count one view: rows `rows` of its meta belong to rows `into` here.
+
+        Args:
+            measure: absolute ones need a meta with `means2d_absgrad`.
+        """
+        gradient = meta.means2d_grad if measure == "signed" else meta.means2d_absgrad
+        assert gradient is not None
+        x, y = gradient[rows].unbind(dim=1)
+        x, y = x * (width / 2), y * (height / 2)
+        size = x.abs() + y.abs() if measure == "absolute_l1" else torch.hypot(x, y)
+        visible = meta.visible[rows]
+        self.total[into] += size * visible  # without visible pixels the gradient is zero, not NaN
+        self.views[into] += visible
+
+    def mean(self) -> Tensor:
+        """(N,), 0 for rows never seen."""
+        return self.total / self.views.clamp(min=1)
+
+    def state_dict(self) -> dict[str, Tensor]:
+        """Plain tensors for a checkpoint."""
+        return {"total": self.total, "views": self.views}
+
+    def load_state_dict(self, state: Mapping[str, Tensor]) -> None:
+        """Go on from `state_dict`."""
+        device = self.total.device
+        self.total = state["total"].to(device, copy=True)
+        self.views = state["views"].to(device, copy=True)
+
+
+@dataclass(frozen=True)
+class DensityChange:
+    """A new population: old rows kept, and rows without history.
+
+    Attributes:
+        kept: (M,) int64 old rows, ascending.
+        born: new Gaussians.
+        parents: (B,) int64 old row of each new one.
+        left_out: candidates beyond the most that may be added.
+    """
+
+    kept: Tensor
+    born: Gaussians
+    parents: Tensor
+    left_out: int
+
+
+def plan_change(
+    gaussians: Gaussians,
+    mean_gradient: Tensor,
+    *,
+    threshold: float,
+    most_new: int,
+    split_above: float,
+    min_opacity: float,
+    generator: torch.Generator,
+    doomed: Tensor | None = None,
+    settled: Tensor | None = None,
+) -> DensityChange:
+    """Decide on clones, splits and prunes.
+
+    Args:
+        mean_gradient: (N,) NDC units.
+        threshold: rows above it are candidates, the largest first.
+        most_new: most rows that the population may grow by.
+        split_above: metres; larger rows are split, smaller ones cloned.
+        min_opacity: rows below it are taken away.
+        generator: places the halves of split rows.
+        doomed: (N,) bool, rows to take away besides those.
+        settled: (N,) bool, rows that are neither taken away nor added to.
+    """
+    sigma = gaussians.log_scales.detach().amax(dim=1).exp()
+    gone = torch.sigmoid(gaussians.logit_opacities.detach()) < min_opacity
+    if doomed is not None:
+        gone = gone | doomed
+    wanted = torch.where(gone, 0.0, mean_gradient)
+    if settled is not None:
+        gone, wanted = gone & ~settled, torch.where(settled, 0.0, wanted)
+    candidates = int((wanted > threshold).sum())
+    count = min(candidates, max(most_new, 0))
+    chosen = wanted.topk(count).indices.sort().values
+    split = chosen[sigma[chosen] > split_above]
+    clone = chosen[sigma[chosen] <= split_above]
+    gone[split] = True
+    parents = torch.cat([clone, split, split])
+    born = gaussians.detach().select(parents)
+    return DensityChange(
+        kept=(~gone).nonzero()[:, 0],
+        born=_spread_splits(born, len(clone), generator),
+        parents=parents,
+        left_out=candidates - count,
+    )
+
+
+def _spread_splits(born: Gaussians, clones: int, generator: torch.Generator) -> Gaussians:
+    """Move the halves of split rows to places drawn from their parent, and shrink them."""
+    sigma = born.log_scales[clones:].exp()
+    noise = torch.randn(sigma.shape, generator=generator).to(sigma.device) * sigma
+    turn = quat_to_matrix(torch.nn.functional.normalize(born.quats[clones:], dim=1))
+    means, log_scales = born.means.clone(), born.log_scales.clone()
+    means[clones:] += (turn @ noise[..., None])[..., 0]
+    log_scales[clones:] -= float(torch.tensor(SPLIT_SHRINK).log())
+    return Gaussians(means, born.quats, log_scales, born.logit_opacities, born.sh)
+
 
 RESET_OPACITY = 0.01
 """What a reset leaves of an opacity (3DGS)."""
+
+
 BOX_MARGIN_M = 0.15
 """How far an actor's centres may leave its box, to the sides and upwards."""
+
+
 SETTLE_EVERY = 10
 """Steps: what a Gaussian drifts meanwhile is millimetres."""
+
+
 REACH_M = 0.25
 """Gaussians farther above or below belong to something else."""
+
+
 THICKNESS_M = 0.015
 """Most standard deviation across the sheet."""
 
@@ -229,3 +377,97 @@ def _upright(quats: Tensor, axis: Tensor, normal: Tensor) -> Tensor:
     now = torch.where(cosine < 0, -now, now)
     turn = torch.cat([1 + cosine.abs(), torch.linalg.cross(now, normal)], dim=1)
     return quat_multiply(torch.nn.functional.normalize(turn, dim=1), quats)
+
+
+BUDGET_FILE = "budget.json"
+
+
+BUDGET_VERSION = 1
+
+
+STREET_REACH_M = 25.0
+"""Metres of street to either side of the drive that are counted."""
+
+
+EACH_M2 = 48.0
+"""Gaussians per square metre of street."""
+
+
+PIXELS_EACH = 16.0
+"""Pixels of the training images per Gaussian."""
+
+
+LEAST = 20_000
+"""Smallest limit that is derived."""
+
+
+_CELL_M = 5.0
+
+
+class Budget(Record):
+    """Contents of budget.json: how many Gaussians there may be, and what came of it.
+
+    Attributes:
+        most_gaussians: the limit.
+        named: whether the configuration named it; else it was derived from the next two.
+        area_m2: street within `STREET_REACH_M` of the drive.
+        training_pixels: pixels of all training images at the scale of the training.
+        first_found, first_kept: first points before and after they were thinned to the limit.
+        limited_from: step of the first change of the population that the limit cut short, or None.
+        limited_changes: number of changes that the limit cut short.
+    """
+
+    version: int = BUDGET_VERSION
+    most_gaussians: int
+    named: bool
+    area_m2: float
+    training_pixels: int
+    first_found: int = 0
+    first_kept: int = 0
+    limited_from: int | None = None
+    limited_changes: int = 0
+
+    @property
+    def was_met(self) -> bool:
+        """Whether the limit kept anything from being added."""
+        return self.limited_changes > 0 or self.first_kept < self.first_found
+
+    def explain(self) -> str:
+        """One line for people."""
+        how = "max_gaussians"
+        if not self.named:
+            pixels = self.training_pixels / 1e6
+            how = f"from {self.area_m2:,.0f} m2 of street and {pixels:,.1f} million pixels"
+        limit = f"limit of {self.most_gaussians:,} Gaussians ({how})"
+        if not self.was_met:
+            return f"{limit}: not met"
+        parts = []
+        if self.first_kept < self.first_found:
+            parts.append(f"first points thinned from {self.first_found:,} to {self.first_kept:,}")
+        if self.limited_from is not None:
+            parts.append(f"{self.limited_changes} changes cut short from step {self.limited_from}")
+        return f"{limit}: {', '.join(parts)}"
+
+
+def gaussian_budget(config: SceneConfig, views: Sequence[TrainingView]) -> Budget:
+    """The limit for a training on `views`; those held out do not count."""
+    training = [view for view in views if not view.held_out]
+    pixels = sum(view.camera.width * view.camera.height for view in training)
+    area = street_area(np.array([view.world_from_camera[:2, 3] for view in training]))
+    derived = max(LEAST, int(min(EACH_M2 * area, pixels / PIXELS_EACH)))
+    return Budget(
+        most_gaussians=config.max_gaussians or derived,
+        named=config.max_gaussians is not None,
+        area_m2=area,
+        training_pixels=pixels,
+    )
+
+
+def street_area(positions: NDArray[np.float64]) -> float:
+    """Square metres within `STREET_REACH_M` of any position (N, 2), in cells of 5 m."""
+    steps = np.arange(-STREET_REACH_M, STREET_REACH_M + _CELL_M, _CELL_M)
+    offsets = np.stack(np.meshgrid(steps, steps), axis=-1).reshape(-1, 2)
+    offsets = offsets[np.linalg.norm(offsets, axis=1) <= STREET_REACH_M]
+    near = np.unique(np.floor(positions / _CELL_M), axis=0) * _CELL_M
+    cells = np.unique((near[:, None] + offsets).reshape(-1, 2), axis=0)
+    return float(len(cells) * _CELL_M**2)

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import math
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -11,23 +12,28 @@ import torch
 from torch import Tensor
 
 from recast.logs import DrivingLog, Track
-from recast.scene.appearance import Exposures, exposed_scene, frozen, share_of
-from recast.scene.bodies import Body
-from recast.scene.config import SceneConfig
-from recast.scene.deformation import DeformableNodes
-from recast.scene.density_control import SETTLE_EVERY, GroundSheet, control_density, reset_opacities
-from recast.scene.dynamic import DEFORMABLE, visible_rectangle
-from recast.scene.initialise import Initialisation
-from recast.scene.levels import Level, make_levels
-from recast.scene.losses import (
+from recast.reconstruction.bodies import Body
+from recast.reconstruction.config import Measure, SceneConfig
+from recast.reconstruction.densify import (
+    FIELDS,
+    SETTLE_EVERY,
+    GradientStatistics,
+    GroundSheet,
+    control_density,
+    reset_opacities,
+    rows,
+)
+from recast.reconstruction.first_points import Initialisation
+from recast.reconstruction.losses import (
     SHARP_SHAPE_EVERY,
+    DrawnView,
+    Span,
     TrackSmoothness,
     actors_alone,
     sharp_shape,
     view_loss,
 )
-from recast.scene.poses import AdamTable, CameraPoses, TrackPoses
-from recast.scene.schedule import (
+from recast.reconstruction.schedule import (
     FLIPS,
     DensitySchedule,
     coarse_factor,
@@ -38,17 +44,31 @@ from recast.scene.schedule import (
     pose_factor,
     sky_rate,
 )
-from recast.scene.street_scene import Deforming, SceneActor, StreetScene
-from recast.scene.trainable import DrawnView, TrainableScene, copy, make_sky
-from recast.scene.views import TrainingView
-from recast.splats import Gaussians, rasterize
+from recast.reconstruction.tables import (
+    AdamTable,
+    CameraPoses,
+    DeformableNodes,
+    Exposures,
+    TrackPoses,
+    make_sky,
+)
+from recast.reconstruction.views import Level, TrainingView, make_levels, visible_rectangle
+from recast.scene.actor import Deforming, SceneActor
+from recast.scene.appearance import coloured, frozen, mirrored, share_of
+from recast.scene.poses import DEFORMABLE
+from recast.scene.street_scene import StreetScene
+from recast.splats import Gaussians, RasterMeta, RowAdam, concatenate, rasterize
+from recast.splats.sh import C0
 
 RADIANS_PER_METRE = 0.1
 """Learning rate of a camera's rotation in radians to that of its translation in metres."""
 
+
 REST_FROM = 3000
 """Steps that canonical centres of deformable actors learn for, as in OmniRe, however short a run:
 they are where the LiDAR put them at first."""
+
+
 DEFORMING_ROOM = 1.5
 """Factor of a deformable actor's box, outside of whose projection nothing of it is seen."""
 
@@ -91,7 +111,7 @@ class Trainer:
         self._views = [view for view in views if not view.held_out]
         self._tracks = dict(tracks)
         self._density = DensitySchedule(config, len(self._views))
-        self._levels = make_levels(config, self._views, start)
+        self._levels = make_levels(config, self._views, start.sky_pixels, start.depths)
         self.model = TrainableScene(
             start.background.to(self.device),
             {name: part.to(self.device) for name, part in start.actors.items()},
@@ -263,7 +283,7 @@ class Trainer:
             camera_corrections=self.camera_poses.corrections(self._views),
             log_name=log.name,
         )
-        return exposed_scene(scene, self.exposures.mean()) if self._exposes() else scene
+        return scene.exposed(self.exposures.mean()) if self._exposes() else scene
 
     def _actor(self, track_id: str, deformation: Deforming | None) -> SceneActor:
         learned, fourier = self.model.actor(track_id)
@@ -277,3 +297,209 @@ class Trainer:
             appearance=appearance,
             deformation=deformation,
         )
+
+
+Shape = Callable[[Gaussians], Gaussians]
+
+
+STATES = ("background_adam", "local_adam", "background_statistics", "local_statistics")
+"""Members of `TrainableScene` that a checkpoint holds beside the parameters."""
+
+
+MIN_LOG_SCALE = -4.8
+"""8 mm. Smaller ones hide between the pixel centres of the training views and show elsewhere."""
+
+
+MAX_ACTOR_LOG_SCALE = -1.2
+"""30 cm. Larger ones would paint what lies outside an actor's box."""
+
+
+COLOUR_LIMIT = 0.5 / C0
+"""Keeps the constant colour in [0, 1]: below 0 the rasterizer's clamp kills the gradient."""
+
+
+REST_RATE = 0.05
+"""View-dependent colour learns this much slower than the constant band (3DGS)."""
+
+
+class TrainableScene:
+    """Background and actors with their optimiser states.
+
+    Attributes:
+        track_ids: the actors, in order.
+        owner: (A,) int64, ascending, on the CPU: the actor of each row of `local`.
+        background: world-frame parameters, views into the buffer.
+        local: all actors' parameters, box frames, one after the other.
+        fourier: (A, F - 1, 3) how the actors' colours change over their time, see
+            `recast.scene.appearance`; F is 1 where they do not.
+    """
+
+    background: Gaussians
+    local: Gaussians
+    owner: Tensor
+    fourier: Tensor
+
+    def __init__(
+        self, background: Gaussians, actors: Mapping[str, Gaussians], fourier_terms: int = 1
+    ) -> None:
+        self.track_ids = tuple(actors)
+        nothing = background.select(torch.zeros(0, dtype=torch.int64))
+        counts = torch.tensor([len(part) for part in actors.values()], dtype=torch.int64)
+        owner = torch.repeat_interleave(torch.arange(len(actors)), counts)
+        local = concatenate([nothing, *actors.values()])
+        fourier = local.means.new_zeros(len(local), fourier_terms - 1, 3)
+        self.place(background, local, owner, fourier)
+        device = self.background.means.device
+        self.background_statistics = GradientStatistics(len(self.background), device)
+        self.local_statistics = GradientStatistics(len(self.local), device)
+        self.background_adam = _adam(self.background, rows(self.background), math.inf)
+        self.local_adam = _adam(self.local, self.local_parameters(), MAX_ACTOR_LOG_SCALE)
+
+    def place(
+        self, background: Gaussians, local: Gaussians, owner: Tensor, fourier: Tensor
+    ) -> None:
+        """Lay out new parameter values; optimiser states are the caller's business."""
+        room = concatenate([background.detach(), local.detach()])
+        self._buffer = Gaussians(**{name: value.contiguous() for name, value in rows(room).items()})
+        n = len(background)
+        self.background = Gaussians(**{k: v[:n] for k, v in rows(self._buffer).items()})
+        self.local = Gaussians(
+            **{k: v.clone().requires_grad_() for k, v in rows(local.detach()).items()}
+        )
+        self.fourier = fourier.detach().clone().requires_grad_()
+        self.owner = owner
+
+    def local_parameters(self) -> dict[str, Tensor]:
+        """The actors' leaf tensors by name."""
+        parameters = rows(self.local)
+        return {**parameters, "waves": self.fourier} if self.fourier.shape[1] else parameters
+
+    def span(self, track_id: str) -> tuple[int, int]:
+        """Rows [start, stop) of an actor in `local`."""
+        index = self.track_ids.index(track_id)
+        start, stop = torch.searchsorted(self.owner, torch.tensor([index, index + 1])).tolist()
+        return start, stop
+
+    def draw(
+        self,
+        poses: Mapping[str, Tensor],
+        shares: Mapping[str, float] | None = None,
+        flipped: Tensor | None = None,
+        shapes: Mapping[str, Shape] | None = None,
+    ) -> DrawnView:
+        """Put the actors at `world_from_actor` poses (4, 4) behind the background.
+
+        Args:
+            shares: shares of each actor's time, where colours change with it.
+            flipped: (A,) bool, rows of actors to draw mirrored; see `recast.scene.appearance`.
+            shapes: what moves the Gaussians of an actor within its box, differentiable.
+        """
+        first = len(self.background)
+        spans = []
+        # One split a field: slices of their own would each bring a gradient of all rows.
+        counts = torch.bincount(self.owner, minlength=len(self.track_ids)).tolist()
+        ends = dict(zip(self.track_ids, np.cumsum(counts).tolist(), strict=True))
+        fields = zip(*(value.split(counts) for value in rows(self.local).values()), strict=True)
+        parts = {name: Gaussians(*own) for name, own in zip(self.track_ids, fields, strict=True)}
+        for track_id, pose in poses.items():
+            own = parts[track_id]
+            start, stop = ends[track_id] - len(own), ends[track_id]
+            if shares is not None and self.fourier.shape[1]:
+                own = coloured(own, self.fourier[start:stop], shares[track_id])
+            if flipped is not None:
+                own = mirrored(own, flipped[start:stop])
+            if shapes is not None and track_id in shapes:
+                own = shapes[track_id](own)
+            posed = own.transformed(pose)
+            last = first + stop - start
+            for name in FIELDS:
+                getattr(self._buffer, name)[first:last] = getattr(posed, name).detach()
+            spans.append(Span(first, last, start, stop, posed))
+            first = last
+        leaves = {k: v[:first].requires_grad_() for k, v in rows(self._buffer).items()}
+        return DrawnView(Gaussians(**leaves), tuple(spans))
+
+    def take_gradients(self, drawn: DrawnView) -> None:
+        """After the loss's backward pass: carry it on to the parameters and the actors' poses."""
+        gradients = {k: v.grad for k, v in rows(drawn.gaussians).items()}
+        n = len(self.background)
+        for name in FIELDS:
+            gradient = gradients[name]
+            getattr(self.background, name).grad = None if gradient is None else gradient[:n]
+            getattr(self.local, name).grad = None
+        self.fourier.grad = None
+        outputs, given = [], []
+        for name, gradient in gradients.items():
+            if gradient is not None:
+                outputs += [getattr(span.posed, name) for span in drawn.spans]
+                given += [gradient[span.first : span.last] for span in drawn.spans]
+        torch.autograd.backward(outputs, given)
+
+    def visible(self, drawn: DrawnView, meta: RasterMeta) -> tuple[Tensor, Tensor]:
+        """Which rows of the background and of the actors the view saw: two bool masks."""
+        local = torch.zeros(len(self.local), dtype=torch.bool, device=meta.visible.device)
+        for span in drawn.spans:
+            local[span.start : span.stop] = meta.visible[span.first : span.last]
+        return meta.visible[: len(self.background)], local
+
+    def count(
+        self,
+        drawn: DrawnView,
+        meta: RasterMeta,
+        width: int,
+        height: int,
+        measure: Measure = "signed",
+        actor_measure: Measure = "signed",
+    ) -> None:
+        """Add a view's screen-space gradients to the statistics for density control."""
+        every = slice(0, len(self.background))
+        self.background_statistics.add(meta, every, every, width, height, measure)
+        for span in drawn.spans:
+            source, target = slice(span.first, span.last), slice(span.start, span.stop)
+            self.local_statistics.add(meta, source, target, width, height, actor_measure)
+
+    def step(self, background: Tensor, local: Tensor, rates: Mapping[str, float]) -> None:
+        """Adam on the visible rows, within the bounds that keep Gaussians honest.
+
+        Args:
+            background, local: visible rows, as `visible` gives.
+            rates: learning rate by field; `sh` is that of the constant band, over time as well.
+        """
+        self.background_adam.step(background, rates)
+        if len(self.local):
+            self.local_adam.step(local, {**rates, "waves": rates["sh"]})
+
+    def count_rows(self) -> int:
+        """Number of Gaussians, actors included."""
+        return len(self.background) + len(self.local)
+
+    def restore(self, states: Mapping[str, Mapping[str, Tensor]]) -> None:
+        """After `place`: take over the `STATES` of a checkpoint."""
+        self.background_adam.params = rows(self.background)
+        self.local_adam.params = self.local_parameters()
+        for name in STATES:
+            getattr(self, name).load_state_dict(states[name])
+
+    def actor(self, track_id: str) -> tuple[Gaussians, Tensor]:
+        """Copies of an actor's Gaussians in its box frame, and of their `fourier`."""
+        part = slice(*self.span(track_id))
+        return copy(self.local, part), self.fourier.detach()[part].clone()
+
+
+def copy(gaussians: Gaussians, part: slice = slice(None)) -> Gaussians:
+    """Rows of their own, without history."""
+    return Gaussians(**{k: v.detach()[part].clone() for k, v in rows(gaussians).items()})
+
+
+def _adam(gaussians: Gaussians, parameters: Mapping[str, Tensor], max_log_scale: float) -> RowAdam:
+    bases = gaussians.sh.shape[1]
+    rates = torch.full((bases, 3), REST_RATE)
+    rates[0] = 1
+    limit = torch.full((bases, 3), math.inf)
+    limit[0] = COLOUR_LIMIT
+    return RowAdam(
+        parameters,
+        {},
+        column_rates={"sh": rates},
+        bounds={"sh": (-limit, limit), "log_scales": (MIN_LOG_SCALE, max_log_scale)},
+    )

@@ -14,20 +14,32 @@ from scipy.spatial import cKDTree
 from recast.arrays import Array, Float32Array
 from recast.geometry import se3
 from recast.logs import DrivingLog, LidarSweep, Track
-from recast.scene.dynamic import pose_at
-from recast.scene.views import TrainingView
+from recast.reconstruction.views import DepthSamples, TrainingView
+from recast.scene.poses import pose_at
 from recast.splats import Gaussians, morton_order
 from recast.splats.sh import C0
 
 MARGIN_M = 0.15
+
+
 GROUND_M = 0.1
+
+
 SKIPPED_US = 20_000
 """Sweeps this close to a held-out image were taken together with it."""
+
+
 NEAR_M, FAR_M = 1.0, 100.0
 """Depths at which points are looked for."""
+
+
 HIDING_PX = 3
+
+
 OPACITY, WIDTH = 0.3, 0.7
 """Of first Gaussians; the width is a share of the distance to their neighbours."""
+
+
 FLATNESS = 0.3
 """A neighbourhood counts as flat where it is this much thinner than narrow."""
 
@@ -46,19 +58,6 @@ class OwnedSweep:
     timestamp_us: int
     background: Float32Array
     actors: Mapping[str, Float32Array]
-
-
-@dataclass(frozen=True)
-class DepthSamples:
-    """LiDAR depth of one view.
-
-    Attributes:
-        depths: (M,) float32 metres along the camera's z axis.
-        uv: (M, 2) float32 pixel coordinates, inside the image.
-    """
-
-    depths: Float32Array
-    uv: Float32Array
 
 
 def read_sweeps(

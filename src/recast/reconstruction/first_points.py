@@ -1,49 +1,178 @@
-"""First points: the background's from LiDAR and a plane sweep, and the Gaussians of an actor."""
+"""First Gaussians of a scene: coloured LiDAR, plane sweep, actors and sky."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
 
 import cv2
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from recast.arrays import Array, Float32Array, Mask
+from recast.core.errors import InputError
 from recast.geometry import boxes, se3
-from recast.logs import Track
-from recast.scene.appearance import with_other_side
-from recast.scene.bodies import Body
-from recast.scene.config import SceneConfig
-from recast.scene.dynamic import DEFORMABLE, deforms, pose_at, visible_rectangle
-from recast.scene.plane_sweep import sweep_depths
-from recast.scene.points import (
-    DepthSamples,
+from recast.logs import DrivingLog, GroundHeight, Track, ego_path, even_ground
+from recast.reconstruction.bodies import Body
+from recast.reconstruction.config import SceneConfig
+from recast.reconstruction.plane_sweep import sweep_depths
+from recast.reconstruction.points import (
     OwnedSweep,
     PointCloud,
     concatenate,
+    depth_samples,
     gaussians_from_points,
     project_visible,
+    read_sweeps,
+    thinned,
     voxel_downsample,
 )
-from recast.scene.views import TrainingView, nearest_views
+from recast.reconstruction.sky_masks import sky_masks
+from recast.reconstruction.views import (
+    DepthSamples,
+    TrainingView,
+    deforms,
+    near_samples,
+    nearest_views,
+    visible_rectangle,
+)
+from recast.scene.appearance import with_other_side
+from recast.scene.poses import DEFORMABLE, pose_at
+from recast.scene.sky import SkyMap, sky_from_pixels
 from recast.splats import Gaussians
 from recast.splats.sh import C0
 
+MIN_POINTS = 100
+
+
+FIRST_SHARE = 2 / 3
+"""Share of the limit that the first points may take, so that growth always has room."""
+
+
+@dataclass(frozen=True)
+class Initialisation:
+    """Where training starts.
+
+    Attributes:
+        background: world-frame Gaussians.
+        actors: actor-local Gaussians by track id.
+        sky: first sky map.
+        sky_pixels: (S,) int64 flat indices of sure sky pixels, for each training view.
+        depths: measured depths of each training view.
+        ground: heights of even ground; None without such ground, or where it is left free.
+        found: Gaussians that there would have been without `max_gaussians`.
+    """
+
+    background: Gaussians
+    actors: dict[str, Gaussians]
+    sky: SkyMap
+    sky_pixels: list[NDArray[np.int64]]
+    depths: list[DepthSamples]
+    ground: GroundHeight | None = None
+    found: int = 0
+
+    def __len__(self) -> int:
+        return len(self.background) + sum(len(part) for part in self.actors.values())
+
+
+def initialise(
+    log: DrivingLog,
+    views: Sequence[TrainingView],
+    actors: Mapping[str, Track],
+    config: SceneConfig,
+    rng: np.random.Generator,
+    threads: int = 1,
+    bodies: Mapping[str, Body] | None = None,
+) -> Initialisation:
+    """Build the first scene from the training views and the sweeps not taken with held-out ones.
+
+    Args:
+        views: all views; held-out ones lend their timestamps only.
+        rng: thins the plane-sweep points, and all points where they are too many for
+            `max_gaussians`.
+        bodies: actors that begin as the vertices of a body, all of them.
+
+    Raises:
+        InputError: LiDAR and images together give next to no points.
+    """
+    training = [view for view in views if not view.held_out]
+    sweeps = read_sweeps(log, actors, [view.timestamp_us for view in views if view.held_out])
+    depths = [depth_samples(view, sweeps, actors) for view in training]
+    skies = sky_masks(log, training, depths, config)
+    clouds = [coloured_background(sweep, training, actors) for sweep in sweeps]
+    lidar = voxel_downsample(concatenate(clouds), config.voxel_m)
+    far = PointCloud.empty()
+    if config.sweep_points:
+        swept = plane_sweep_points(training, depths, skies, actors, threads)
+        far = voxel_downsample(swept, config.voxel_m)
+    if len(far) > config.sweep_points:
+        far = far.select(np.sort(rng.choice(len(far), config.sweep_points, replace=False)))
+    cloud = without_points_in_sky(concatenate([lidar, far]), training, skies)
+    if len(cloud) < MIN_POINTS:
+        raise InputError(
+            log.name,
+            "LiDAR",
+            f"{len(cloud)} points in view of the cameras, at least {MIN_POINTS} are needed",
+            "check the calibration, or import the sweeps",
+        )
+    clouds_of = {
+        name: actor_cloud(track, sweeps, training, config) for name, track in actors.items()
+    }
+    bodies = bodies or {}
+    found = len(cloud) + sum(
+        len(own) * (1 + has_other_side(actors[name], config))
+        for name, own in clouds_of.items()
+        if name not in bodies
+    )
+    share = 1.0 if config.max_gaussians is None else FIRST_SHARE * config.max_gaussians / found
+    found += sum(len(body.vertices) for body in bodies.values())
+    return Initialisation(
+        background=gaussians_from_points(thinned(cloud, share, rng), config.sh_degree),
+        actors={
+            name: body_gaussians(actors[name], bodies[name], own, config)
+            if name in bodies
+            else actor_gaussians(actors[name], thinned(own, share, rng), config)
+            for name, own in clouds_of.items()
+        },
+        sky=_first_sky(training, skies),
+        sky_pixels=[np.flatnonzero(sky) for sky in skies],
+        depths=depths,
+        ground=_even_ground(log, sweeps) if config.ground_tolerance_m > 0 else None,
+        found=found,
+    )
+
+
+def _even_ground(log: DrivingLog, sweeps: Sequence[OwnedSweep]) -> GroundHeight | None:
+    path = ego_path(log.world_from_rig)
+    if path is None or not sweeps:
+        return None
+    found = even_ground((sweep.background.astype(np.float64) for sweep in sweeps), path)
+    return found if np.isfinite(found.height).any() else None
+
+
+def _first_sky(views: Sequence[TrainingView], skies: Sequence[Mask]) -> SkyMap:
+    directions, colours = [], []
+    for view, sky in zip(views, skies, strict=True):
+        rows, columns = np.nonzero(sky)
+        rays = view.camera.rays(np.stack([columns, rows], axis=-1) + 0.5)
+        directions.append((rays @ view.world_from_camera[:3, :3].T).astype(np.float32))
+        colours.append(view.image[rows, columns].astype(np.float32) / 255)
+    return sky_from_pixels(np.concatenate(directions), np.concatenate(colours))
+
+
 COLOUR_LIMIT_US = 160_000
 """A sweep takes its colours from images at most this far away in time."""
-LIDAR_REACH_PX = 5
+
+
 SWEEP_STRIDE = 3
+
+
 FEW_POINTS = 200
+
+
 GRID_SPACING_M = 0.15
-
-
-def near_samples(view: TrainingView, samples: DepthSamples) -> Mask:
-    """Pixels (H, W) within a few pixels of a LiDAR return."""
-    hit = np.zeros((view.camera.height, view.camera.width), np.uint8)
-    hit[samples.uv[:, 1].astype(np.int64), samples.uv[:, 0].astype(np.int64)] = 1
-    size = 2 * LIDAR_REACH_PX + 1
-    return cv2.dilate(hit, np.ones((size, size), np.uint8)) > 0
 
 
 def pixel_colours(view: TrainingView, uv: Float32Array) -> Float32Array:

@@ -17,18 +17,24 @@ from recast.core.images import decode_mask
 from recast.logs import DrivingLog
 from recast.logs.importers.waymo_proto import CAMERA_NAME
 from recast.pretrained import PretrainedFolder
-from recast.scene.config import SceneConfig
-from recast.scene.first_points import near_samples
-from recast.scene.points import DepthSamples
-from recast.scene.views import TrainingView, fit_mask
+from recast.reconstruction.config import SceneConfig
+from recast.reconstruction.views import DepthSamples, TrainingView, fit_mask, near_samples
 
 LEAST_BRIGHT = 0.62
 """Least value of the brightest channel of sky."""
+
+
 LARGEST_STEP = 0.12
 """Largest step of the grey value across neighbouring pixels of sky."""
+
+
 _WAYMO = tuple(CAMERA_NAME.names.values())
 """Waymo's cameras by their number in names of files."""
+
+
 _FILE = re.compile(r"(\d+)_(.+)\.png", re.IGNORECASE)
+
+
 _NAMES = "name them FRAME_CAMERA.png, with the log's name of the camera or Waymo's number of it"
 
 

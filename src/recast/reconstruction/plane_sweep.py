@@ -17,19 +17,27 @@ from numpy.typing import NDArray
 
 from recast.arrays import Array, Float32Array, Mask
 from recast.cameras import PinholeCamera
-from recast.scene.views import TrainingView
+from recast.reconstruction.views import TrainingView
 
 NEIGHBOURS = (-2, -1, 1, 2)
 
 
 HYPOTHESES = 48
 """Depths that are tried, spaced evenly in inverse depth."""
+
+
 WINDOW = 7
 """Edge of the matching window, pixels."""
+
+
 MAX_COST = 0.06
 """Largest mean absolute difference (0 to 1) of an accepted pixel."""
+
+
 MIN_RATIO = 1.3
 """The best depth elsewhere must cost at least this many times the best one."""
+
+
 MIN_TEXTURE = 0.02
 """Least standard deviation of grey within the window."""
 

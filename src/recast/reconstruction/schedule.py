@@ -8,10 +8,12 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 
-from recast.scene.config import SceneConfig
+from recast.reconstruction.config import SceneConfig
 
 POSES_FROM = 0.1
 """Poses wait until the Gaussians have found their colours."""
+
+
 FLIPS, DEFORMATION = 1, 2
 """Streams of what a step sees mirrored, and of the first weights of the deformation network;
 density control has the one without a number."""

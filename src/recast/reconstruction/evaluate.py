@@ -15,10 +15,10 @@ from recast.core.files import atomic_file, write_json
 from recast.core.progress import Progress, tell
 from recast.geometry import se3
 from recast.logs import DrivingLog
-from recast.scene.config import SceneConfig
-from recast.scene.dynamic import visible_rectangle
-from recast.scene.evaluate_record import FrameScore, SceneEvaluation, SweepsOfImages, depth_score
-from recast.scene.evaluate_shifts import (
+from recast.reconstruction.config import SceneConfig
+from recast.reconstruction.evaluation import (
+    FrameScore,
+    SceneEvaluation,
     ShiftedScore,
     ShiftedView,
     ShiftScores,
@@ -27,21 +27,33 @@ from recast.scene.evaluate_shifts import (
     picture_name,
     shifted_views,
 )
-from recast.scene.render import SceneImage, SceneRasterizer
-from recast.scene.scores import (
+from recast.reconstruction.scores import (
     Distance,
+    SweepsOfImages,
     capped_psnr,
+    depth_score,
     moving_region,
     moving_tracks,
     psnr,
     score_regions,
 )
+from recast.reconstruction.views import (
+    TrainingView,
+    camera_names,
+    is_held_out,
+    read_view,
+    visible_rectangle,
+)
+from recast.scene.render import SceneImage, SceneRasterizer
 from recast.scene.street_scene import StreetScene
-from recast.scene.views import TrainingView, camera_names, is_held_out, read_view
 
 MIN_BOX_PX = 8
 """Boxes with a shorter edge than this in the image are not scored: too few pixels."""
+
+
 EVALUATION_FILE = "eval.json"
+
+
 PICTURED_MOMENTS = 3
 """Held-out moments, spread over the drive, at which shifted views are written as pictures."""
 
