@@ -13,16 +13,9 @@ from safetensors.torch import save_file
 
 from recast.core.errors import InputError
 from recast.reconstruction import TrainResult
-from recast.reconstruction.densify import rows
 from recast.scene import SceneActor, StreetScene, load_scene, save_scene
 from recast.scene.store import read_tensors, write_tensors
-from recast.splats import Gaussians
-
-
-def same(first: Gaussians, second: Gaussians) -> bool:
-    return all(
-        torch.equal(a, b) for a, b in zip(rows(first).values(), rows(second).values(), strict=True)
-    )
+from support.tiny_street import same
 
 
 def with_shadow(scene: StreetScene) -> StreetScene:

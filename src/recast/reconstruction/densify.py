@@ -15,6 +15,7 @@ from torch import Tensor
 from recast.core.records import Record
 from recast.logs import GroundHeight, Track
 from recast.reconstruction.config import Measure, SceneConfig
+from recast.reconstruction.settings import INIT, OPTIM
 from recast.reconstruction.views import TrainingView
 from recast.splats import Gaussians, RasterMeta, RowAdam, concatenate, morton_order
 from recast.splats.gaussians import quat_multiply, quat_to_matrix
@@ -23,7 +24,6 @@ if TYPE_CHECKING:
     from recast.reconstruction.step import TrainableScene
 
 FIELDS = ("means", "quats", "log_scales", "logit_opacities", "sh")
-SPLIT_SHRINK = 1.6
 
 
 def rows(gaussians: Gaussians) -> dict[str, Tensor]:
@@ -151,28 +151,8 @@ def _spread_splits(born: Gaussians, clones: int, generator: torch.Generator) -> 
     turn = quat_to_matrix(torch.nn.functional.normalize(born.quats[clones:], dim=1))
     means, log_scales = born.means.clone(), born.log_scales.clone()
     means[clones:] += (turn @ noise[..., None])[..., 0]
-    log_scales[clones:] -= float(torch.tensor(SPLIT_SHRINK).log())
+    log_scales[clones:] -= float(torch.tensor(OPTIM.split_shrink).log())
     return Gaussians(means, born.quats, log_scales, born.logit_opacities, born.sh)
-
-
-RESET_OPACITY = 0.01
-"""What a reset leaves of an opacity (3DGS)."""
-
-
-BOX_MARGIN_M = 0.15
-"""How far an actor's centres may leave its box, to the sides and upwards."""
-
-
-SETTLE_EVERY = 10
-"""Steps: what a Gaussian drifts meanwhile is millimetres."""
-
-
-REACH_M = 0.25
-"""Gaussians farther above or below belong to something else."""
-
-
-THICKNESS_M = 0.015
-"""Most standard deviation across the sheet."""
 
 
 def control_density(
@@ -239,11 +219,11 @@ def control_density(
 
 
 def reset_opacities(model: TrainableScene) -> None:
-    """Lower all opacities to `RESET_OPACITY`; what is needed grows back, what is not is pruned.
+    """Lower all opacities to `reset_opacity`; what is needed grows back, what is not is pruned.
 
     Kerbl et al. 2023, section 5.2: against floaters close to the cameras. Moments are forgotten.
     """
-    limit = math.log(RESET_OPACITY / (1 - RESET_OPACITY))
+    limit = math.log(OPTIM.reset_opacity / (1 - OPTIM.reset_opacity))
     parts = ((model.background, model.background_adam), (model.local, model.local_adam))
     for gaussians, adam in parts:
         with torch.no_grad():
@@ -271,9 +251,9 @@ def inside_boxes(model: TrainableScene, tracks: Mapping[str, Track]) -> Tensor:
         return torch.zeros(0, dtype=torch.bool, device=means.device)
     sizes = torch.stack([torch.from_numpy(tracks[name].size) for name in model.track_ids]).float()
     half = (sizes[model.owner] / 2).to(means.device)
-    high = half + BOX_MARGIN_M
+    high = half + OPTIM.leave_box_m
     low = -high
-    low[:, 2] = -half[:, 2] - 0.05
+    low[:, 2] = -half[:, 2] - OPTIM.leave_box_down_m
     return ((means <= high) & (means >= low)).all(dim=1)
 
 
@@ -329,7 +309,7 @@ class GroundSheet:
         """Rows of points within reach of the surface, and a few more: cheap, by a single cell."""
         column, _, row, _, inside = self._cells(points)
         above = (points[:, 2] - self._height[row, column]).abs()
-        return torch.nonzero(inside & (above < 2 * REACH_M))[:, 0]
+        return torch.nonzero(inside & (above < 2 * OPTIM.ground_reach_m))[:, 0]
 
     def _cells(self, points: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
         """Column and share of the next one, row and share of the next one, whether all exist."""
@@ -343,19 +323,19 @@ class GroundSheet:
         """Move Gaussians near the surface onto it, in place, their thinnest axis upright.
 
         Centres end within the tolerance of the surface, in height; the thinnest axis turns the
-        shortest way to its normal and is at most `THICKNESS_M`. Colours and opacities stay.
+        shortest way to its normal and is at most `ground_thickness_m`. Colours and opacities stay.
         """
         rows = self._perhaps_near(gaussians.means)
         height, normal = self.surface(gaussians.means[rows])
         above = gaussians.means[rows, 2] - height
-        near = torch.nonzero(above.abs() < REACH_M)[:, 0]  # NaN is not near
+        near = torch.nonzero(above.abs() < OPTIM.ground_reach_m)[:, 0]  # NaN is not near
         rows, height, normal = rows[near], height[near], normal[near]
         held = above[near].clamp(-self._tolerance, self._tolerance)
         gaussians.means[rows, 2] = height + held
         scales = gaussians.log_scales[rows]
         thinnest = scales.argmin(dim=1, keepdim=True)
         gaussians.quats[rows] = _upright(gaussians.quats[rows], thinnest[:, 0], normal)
-        thin = scales.gather(1, thinnest).clamp(max=math.log(THICKNESS_M))
+        thin = scales.gather(1, thinnest).clamp(max=math.log(OPTIM.ground_thickness_m))
         gaussians.log_scales[rows] = scales.scatter(1, thinnest, thin)
 
 
@@ -385,32 +365,13 @@ BUDGET_FILE = "budget.json"
 BUDGET_VERSION = 1
 
 
-STREET_REACH_M = 25.0
-"""Metres of street to either side of the drive that are counted."""
-
-
-EACH_M2 = 48.0
-"""Gaussians per square metre of street."""
-
-
-PIXELS_EACH = 16.0
-"""Pixels of the training images per Gaussian."""
-
-
-LEAST = 20_000
-"""Smallest limit that is derived."""
-
-
-_CELL_M = 5.0
-
-
 class Budget(Record):
     """Contents of budget.json: how many Gaussians there may be, and what came of it.
 
     Attributes:
         most_gaussians: the limit.
         named: whether the configuration named it; else it was derived from the next two.
-        area_m2: street within `STREET_REACH_M` of the drive.
+        area_m2: street within `street_reach_m` of the drive.
         training_pixels: pixels of all training images at the scale of the training.
         first_found, first_kept: first points before and after they were thinned to the limit.
         limited_from: step of the first change of the population that the limit cut short, or None.
@@ -454,7 +415,7 @@ def gaussian_budget(config: SceneConfig, views: Sequence[TrainingView]) -> Budge
     training = [view for view in views if not view.held_out]
     pixels = sum(view.camera.width * view.camera.height for view in training)
     area = street_area(np.array([view.world_from_camera[:2, 3] for view in training]))
-    derived = max(LEAST, int(min(EACH_M2 * area, pixels / PIXELS_EACH)))
+    derived = max(INIT.least_limit, int(min(INIT.each_m2 * area, pixels / INIT.pixels_each)))
     return Budget(
         most_gaussians=config.max_gaussians or derived,
         named=config.max_gaussians is not None,
@@ -464,10 +425,11 @@ def gaussian_budget(config: SceneConfig, views: Sequence[TrainingView]) -> Budge
 
 
 def street_area(positions: NDArray[np.float64]) -> float:
-    """Square metres within `STREET_REACH_M` of any position (N, 2), in cells of 5 m."""
-    steps = np.arange(-STREET_REACH_M, STREET_REACH_M + _CELL_M, _CELL_M)
+    """Square metres within `street_reach_m` of any position (N, 2), in cells of 5 m."""
+    reach, cell = INIT.street_reach_m, INIT.street_cell_m
+    steps = np.arange(-reach, reach + cell, cell)
     offsets = np.stack(np.meshgrid(steps, steps), axis=-1).reshape(-1, 2)
-    offsets = offsets[np.linalg.norm(offsets, axis=1) <= STREET_REACH_M]
-    near = np.unique(np.floor(positions / _CELL_M), axis=0) * _CELL_M
+    offsets = offsets[np.linalg.norm(offsets, axis=1) <= reach]
+    near = np.unique(np.floor(positions / cell), axis=0) * cell
     cells = np.unique((near[:, None] + offsets).reshape(-1, 2), axis=0)
-    return float(len(cells) * _CELL_M**2)
+    return float(len(cells) * cell**2)

@@ -29,6 +29,7 @@ from recast.reconstruction.points import (
     thinned,
     voxel_downsample,
 )
+from recast.reconstruction.settings import INIT
 from recast.reconstruction.sky_masks import sky_masks
 from recast.reconstruction.views import (
     DepthSamples,
@@ -43,12 +44,6 @@ from recast.scene.poses import DEFORMABLE, pose_at
 from recast.scene.sky import SkyMap, sky_from_pixels
 from recast.splats import Gaussians
 from recast.splats.sh import C0
-
-MIN_POINTS = 100
-
-
-FIRST_SHARE = 2 / 3
-"""Share of the limit that the first points may take, so that growth always has room."""
 
 
 @dataclass(frozen=True)
@@ -110,11 +105,11 @@ def initialise(
     if len(far) > config.sweep_points:
         far = far.select(np.sort(rng.choice(len(far), config.sweep_points, replace=False)))
     cloud = without_points_in_sky(concatenate([lidar, far]), training, skies)
-    if len(cloud) < MIN_POINTS:
+    if len(cloud) < INIT.fewest_points:
         raise InputError(
             log.name,
             "LiDAR",
-            f"{len(cloud)} points in view of the cameras, at least {MIN_POINTS} are needed",
+            f"{len(cloud)} points in view of the cameras, at least {INIT.fewest_points} are needed",
             "check the calibration, or import the sweeps",
         )
     clouds_of = {
@@ -126,7 +121,7 @@ def initialise(
         for name, own in clouds_of.items()
         if name not in bodies
     )
-    share = 1.0 if config.max_gaussians is None else FIRST_SHARE * config.max_gaussians / found
+    share = 1.0 if config.max_gaussians is None else INIT.first_share * config.max_gaussians / found
     found += sum(len(body.vertices) for body in bodies.values())
     return Initialisation(
         background=gaussians_from_points(thinned(cloud, share, rng), config.sh_degree),
@@ -162,19 +157,6 @@ def _first_sky(views: Sequence[TrainingView], skies: Sequence[Mask]) -> SkyMap:
     return sky_from_pixels(np.concatenate(directions), np.concatenate(colours))
 
 
-COLOUR_LIMIT_US = 160_000
-"""A sweep takes its colours from images at most this far away in time."""
-
-
-SWEEP_STRIDE = 3
-
-
-FEW_POINTS = 200
-
-
-GRID_SPACING_M = 0.15
-
-
 def pixel_colours(view: TrainingView, uv: Float32Array) -> Float32Array:
     """Image colours (M, 3) in [0, 1] at pixel coordinates (M, 2)."""
     rows, columns = uv[:, 1].astype(np.int64), uv[:, 0].astype(np.int64)
@@ -194,7 +176,7 @@ def coloured_background(
     """A sweep's background points with colours from the views nearest in time, one a camera."""
     points = sweep.background
     clouds = []
-    for view in nearest_views(views, sweep.timestamp_us, COLOUR_LIMIT_US):
+    for view in nearest_views(views, sweep.timestamp_us, INIT.colour_us):
         index, uv, depth = project_visible(points, view)
         keep = usable_pixels(view, uv) & ~_behind_actors(view, uv, depth, actors)
         clouds.append(PointCloud(points[index[keep]], pixel_colours(view, uv[keep]), depth[keep]))
@@ -239,7 +221,7 @@ def plane_sweep_points(
     clouds = []
     for name in dict.fromkeys(view.camera_name for view in views):
         own = [i for i, view in enumerate(views) if view.camera_name == name]
-        references = range(1, len(own) - 1, SWEEP_STRIDE)
+        references = range(1, len(own) - 1, INIT.sweep_stride)
         wanted = []
         for reference in references:
             i = own[reference]
@@ -300,7 +282,7 @@ def actor_cloud(
         local = sweep.actors.get(track.track_id)
         if local is None or len(local) == 0:
             continue
-        for view in nearest_views(views, sweep.timestamp_us, COLOUR_LIMIT_US):
+        for view in nearest_views(views, sweep.timestamp_us, INIT.colour_us):
             now = pose_at(track.trajectory, view.timestamp_us)
             if now is None:
                 continue
@@ -308,14 +290,14 @@ def actor_cloud(
             keep = usable_pixels(view, uv)
             clouds.append(PointCloud(local[seen[keep]], pixel_colours(view, uv[keep]), depth[keep]))
     cloud = voxel_downsample(concatenate(clouds), config.actor_voxel_m)
-    if len(cloud) < FEW_POINTS:
+    if len(cloud) < INIT.fewest_actor_points:
         return concatenate([cloud, _box_grid(track, cloud)])
     return cloud
 
 
 def actor_gaussians(track: Track, cloud: PointCloud, config: SceneConfig) -> Gaussians:
     """First Gaussians of an actor's points; with its other side, where steps see it mirrored."""
-    gaussians = gaussians_from_points(cloud, config.sh_degree, sigma_range=(0.01, 0.3))
+    gaussians = gaussians_from_points(cloud, config.sh_degree, sigma_range=INIT.actor_sigma_m)
     return with_other_side(gaussians) if has_other_side(track, config) else gaussians
 
 
@@ -327,7 +309,7 @@ def body_gaussians(track: Track, body: Body, cloud: PointCloud, config: SceneCon
     vertices = body.vertices.astype(np.float32)
     never = np.full(len(vertices), np.inf, np.float32)
     grey = PointCloud(vertices, np.full((len(vertices), 3), 0.5, np.float32), never)
-    gaussians = gaussians_from_points(grey, config.sh_degree, sigma_range=(0.01, 0.3))
+    gaussians = gaussians_from_points(grey, config.sh_degree, sigma_range=INIT.actor_sigma_m)
     times = body.skinning.timestamps_us
     middle = int(times[0] + times[-1]) // 2
     placed = body.skinning.at(gaussians, track.trajectory, middle).means.numpy()
@@ -345,7 +327,7 @@ def has_other_side(track: Track, config: SceneConfig) -> bool:
 def _box_grid(track: Track, cloud: PointCloud) -> PointCloud:
     """A grid on the faces of the box in the mean colour of the known points (grey without any)."""
     axes = [
-        np.linspace(-size / 2, size / 2, max(2, round(size / GRID_SPACING_M) + 1))
+        np.linspace(-size / 2, size / 2, max(2, round(size / INIT.grid_m) + 1))
         for size in track.size
     ]
     grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)

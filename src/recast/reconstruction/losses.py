@@ -7,9 +7,10 @@ indices of pixels that are surely sky, and surely none.
 from __future__ import annotations
 
 import ctypes
+from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any, ClassVar, Literal
 
 import numpy as np
 import torch
@@ -21,28 +22,13 @@ from recast.cameras import box_rectangle
 from recast.kernel import Photometric, library
 from recast.reconstruction.config import SceneConfig
 from recast.reconstruction.scores import C1, C2, WINDOW, ssim_map, window
+from recast.reconstruction.settings import OPTIM
 from recast.reconstruction.tables import TrackPoses
 from recast.reconstruction.views import Level
 from recast.splats import Gaussians, Rasterization, rasterize
 from recast.splats.native.rasterizer import empty, takes
 
 DepthError = Literal["relative", "metric", "inverse"]
-
-
-NEAREST_M = 0.5
-"""Inverse depths are compared no nearer than this: rays that meet nothing have depth 0."""
-
-
-SHARPEST = 10.0
-"""Longest to shortest axis of a Gaussian that costs nothing (OmniRe)."""
-
-
-SHARP_SHAPE_EVERY = 10
-"""Steps between the costs of sharp shapes (OmniRe)."""
-
-
-SMOOTH_OVER = 5
-"""Track positions are compared with those up to this many labels before and after (OmniRe)."""
 
 
 @dataclass(frozen=True)
@@ -68,6 +54,248 @@ class DrawnView:
     spans: tuple[Span, ...]
 
 
+@dataclass(frozen=True)
+class Drawing:
+    """What a step drew of a view: all that a term of the loss may look at.
+
+    Attributes:
+        iteration: number of the step, from 0.
+        grows: whether density control still goes on.
+        image: (H, W, 3) with the sky, exposed as the camera did; unusable pixels black.
+        result: rendering without the sky.
+        drawn: the Gaussians, and where actors are among them.
+        camera_from_world: (4, 4) corrected pose.
+        boxes: size (3,) and `world_from_actor` (4, 4) of each actor that was drawn.
+        exposure_change: mean absolute change of colours by the exposure; None without exposures.
+        tracks: learned poses of the tracks.
+    """
+
+    iteration: int
+    grows: bool
+    image: Tensor
+    result: Rasterization
+    drawn: DrawnView
+    camera_from_world: Tensor
+    boxes: Sequence[tuple[Array, Tensor]]
+    exposure_change: Tensor | None
+    tracks: TrackPoses
+
+
+class LossTerm(ABC):
+    """A summand of the loss. To add one, write a subclass and put it into `LOSS_TERMS`.
+
+    Attributes:
+        name: its name in reports of progress.
+        prior: whether it judges the scene alone, not against the recorded view.
+    """
+
+    name: ClassVar[str]
+    prior: ClassVar[bool] = False
+
+    def __init__(self, config: SceneConfig) -> None:
+        self.config = config
+
+    @property
+    @abstractmethod
+    def weight(self) -> float:
+        """Factor of the value, from the settings; a term of weight 0 is not computed."""
+
+    def applies(self, drawing: Drawing) -> bool:
+        """Whether the term counts in this step."""
+        del drawing
+        return True
+
+    @abstractmethod
+    def value(self, drawing: Drawing, view: Level) -> Tensor:
+        """Scalar, differentiable in what was drawn.
+
+        Args:
+            view: the recorded view, its depths and masks.
+        """
+
+
+class PhotometricTerm(LossTerm):
+    """L1 and SSIM of the image."""
+
+    name = "photometric"
+    weight = 1.0
+
+    def value(self, drawing: Drawing, view: Level) -> Tensor:
+        """See `photometric_loss`."""
+        return photometric_loss(drawing.image, view.target, self.config.ssim_weight)
+
+
+class DepthTerm(LossTerm):
+    """Depths at LiDAR returns."""
+
+    name = "depth"
+
+    @property
+    def weight(self) -> float:
+        """`depth_weight`."""
+        return self.config.depth_weight
+
+    def value(self, drawing: Drawing, view: Level) -> Tensor:
+        """See `depth_loss`."""
+        rendered, measured = drawing.result, (view.depth_pixels, view.depths)
+        how = self.config.depth_keep, self.config.depth_error
+        return depth_loss(rendered.depth, rendered.alpha, *measured, *how)
+
+
+class SkyTerm(LossTerm):
+    """No opacity in front of the sky; with `sky_loss` "entropy", full opacity elsewhere."""
+
+    name = "sky"
+
+    @property
+    def weight(self) -> float:
+        """`sky_weight`."""
+        return self.config.sky_weight
+
+    def value(self, drawing: Drawing, view: Level) -> Tensor:
+        """See `sky_loss` and `sky_entropy`."""
+        if self.config.sky_loss == "entropy":
+            return sky_entropy(drawing.result.alpha, view.sky, view.ground)
+        return sky_loss(drawing.result.alpha, view.sky)
+
+
+class SolidTerm(LossTerm):
+    """Full opacity at LiDAR returns."""
+
+    name = "solid"
+
+    @property
+    def weight(self) -> float:
+        """`solid_weight`."""
+        return self.config.solid_weight
+
+    def value(self, drawing: Drawing, view: Level) -> Tensor:
+        """See `solid_loss`."""
+        return solid_loss(drawing.result.alpha, view.ground)
+
+
+class ExposureTerm(LossTerm):
+    """Small changes of an image's colours."""
+
+    name, prior = "exposure", True
+
+    @property
+    def weight(self) -> float:
+        """`exposure_weight`."""
+        return self.config.exposure_weight
+
+    def applies(self, drawing: Drawing) -> bool:
+        """With exposures."""
+        return drawing.exposure_change is not None
+
+    def value(self, drawing: Drawing, view: Level) -> Tensor:
+        """Mean absolute change."""
+        assert drawing.exposure_change is not None  # else it does not apply
+        return drawing.exposure_change
+
+
+class SharpShapeTerm(LossTerm):
+    """No needles, which make streaks."""
+
+    name, prior = "sharp_shape", True
+
+    @property
+    def weight(self) -> float:
+        """`sharp_shape_weight`."""
+        return self.config.sharp_shape_weight
+
+    def applies(self, drawing: Drawing) -> bool:
+        """Every `sharp_shape_every` steps."""
+        return drawing.iteration % OPTIM.sharp_shape_every == 0
+
+    def value(self, drawing: Drawing, view: Level) -> Tensor:
+        """See `sharp_shape`."""
+        return sharp_shape(drawing.drawn.gaussians.log_scales)
+
+
+class TrackSmoothnessTerm(LossTerm):
+    """Even motion of the tracks."""
+
+    name, prior = "track_smoothness", True
+
+    @property
+    def weight(self) -> float:
+        """`track_smoothness_weight`."""
+        return self.config.track_smoothness_weight
+
+    def value(self, drawing: Drawing, view: Level) -> Tensor:
+        """See `TrackPoses.unevenness`."""
+        return drawing.tracks.unevenness().to(drawing.image.device)
+
+
+class ActorOpacityTerm(LossTerm):
+    """Actors that are opaque in their boxes and absent beside them."""
+
+    name, prior = "actor_opacity", True
+
+    @property
+    def weight(self) -> float:
+        """`actor_opacity_weight`."""
+        return self.config.actor_opacity_weight
+
+    def applies(self, drawing: Drawing) -> bool:
+        """After densification."""
+        return not drawing.grows
+
+    def value(self, drawing: Drawing, view: Level) -> Tensor:
+        """`actor_opacity` of a view's actors, rendered a second time without the rest."""
+        drawn, pose, camera = drawing.drawn, drawing.camera_from_world, view.camera
+        if not drawn.spans:
+            return pose.new_zeros(())
+        first = drawn.spans[0].first
+        own = Gaussians(**{name: part[first:] for name, part in vars(drawn.gaussians).items()})
+        alpha = rasterize(own, pose, view.K, camera.width, camera.height).alpha
+        camera_from_world = pose.detach().double().cpu().numpy()
+        inside = np.zeros((camera.height, camera.width), bool)
+        for size, world_from_actor in drawing.boxes:
+            box = camera_from_world @ world_from_actor.detach().double().cpu().numpy()
+            rectangle = box_rectangle(size, box, camera)
+            if rectangle is not None:
+                left, top = np.floor(np.maximum(rectangle[:2], 0)).astype(int)
+                right, bottom = np.ceil(np.maximum(rectangle[2:], 0)).astype(int)
+                inside[top:bottom, left:right] = True
+        return actor_opacity(alpha, torch.from_numpy(inside).to(alpha.device))
+
+
+LOSS_TERMS: list[type[LossTerm]] = [
+    PhotometricTerm,
+    DepthTerm,
+    SkyTerm,
+    SolidTerm,
+    ExposureTerm,
+    SharpShapeTerm,
+    TrackSmoothnessTerm,
+    ActorOpacityTerm,
+]
+"""All that a step minimises, in the order in which it is added up."""
+
+
+def total_loss(
+    terms: Sequence[LossTerm], drawing: Drawing, view: Level
+) -> tuple[Tensor, dict[str, Tensor]]:
+    """The weighted sum of all terms that apply, and each weighted term by name, detached.
+
+    Priors are added up apart: float32 sums depend on their order, to the last bit.
+    """
+    compared = priors = drawing.image.new_zeros(())
+    found = {}
+    for term in terms:
+        if term.weight == 0 or not term.applies(drawing):
+            continue
+        weighted = term.weight * term.value(drawing, view)
+        found[term.name] = weighted.detach()
+        if term.prior:
+            priors = priors + weighted
+        else:
+            compared = compared + weighted
+    return compared + priors, found
+
+
 def depth_loss(
     depth: Tensor,
     alpha: Tensor,
@@ -87,14 +315,14 @@ def depth_loss(
         measured: (M,) metres along the camera's z axis.
         keep: share of the smallest errors that count.
         error: "relative" |e - z| / z, "metric" |e - z| in metres, "inverse" |1 / e - 1 / z|, where
-            e counts as at least `NEAREST_M`.
+            e counts as at least `nearest_inverse_m`.
     """
     if len(pixels) == 0:
         return depth.new_zeros(())
     weight = alpha.reshape(-1)[pixels]
     expected = depth.reshape(-1)[pixels] / (weight + 1e-10)
     if error == "inverse":
-        errors = (1 / expected.clamp(min=NEAREST_M) - 1 / measured).abs()
+        errors = (1 / expected.clamp(min=OPTIM.nearest_inverse_m) - 1 / measured).abs()
     else:
         errors = (expected - measured).abs()
         if error == "relative":
@@ -140,58 +368,10 @@ def solid_loss(alpha: Tensor, ground: Tensor) -> Tensor:
     return -a.log().sum() / alpha.numel()
 
 
-def view_loss(config: SceneConfig, image: Tensor, result: Rasterization, level: Level) -> Tensor:
-    """The weighted sum of photometric, depth, sky and opacity loss.
-
-    Args:
-        image: (H, W, 3) composited of `result`, unusable pixels black.
-    """
-    loss = photometric_loss(image, level.target, config.ssim_weight)
-    if config.depth_weight > 0:
-        drawn, measured = (result.depth, result.alpha), (level.depth_pixels, level.depths)
-        depth = depth_loss(*drawn, *measured, config.depth_keep, config.depth_error)
-        loss = loss + config.depth_weight * depth
-    if config.sky_weight > 0:
-        if config.sky_loss == "entropy":
-            sky = sky_entropy(result.alpha, level.sky, level.ground)
-        else:
-            sky = sky_loss(result.alpha, level.sky)
-        loss = loss + config.sky_weight * sky
-    if config.solid_weight > 0:
-        loss = loss + config.solid_weight * solid_loss(result.alpha, level.ground)
-    return loss
-
-
-def actors_alone(
-    drawn: DrawnView, pose: Tensor, level: Level, placed: Sequence[tuple[Array, Tensor]]
-) -> Tensor:
-    """`actor_opacity` of a view's actors, rendered a second time without the rest.
-
-    Args:
-        pose: (4, 4) camera_from_world.
-        placed: size (3,) and `world_from_actor` (4, 4) of each actor that is drawn.
-    """
-    if not drawn.spans:
-        return pose.new_zeros(())
-    first, camera = drawn.spans[0].first, level.camera
-    own = Gaussians(**{name: value[first:] for name, value in vars(drawn.gaussians).items()})
-    alpha = rasterize(own, pose, level.K, camera.width, camera.height).alpha
-    camera_from_world = pose.detach().double().cpu().numpy()
-    inside = np.zeros((camera.height, camera.width), bool)
-    for size, world_from_actor in placed:
-        box = camera_from_world @ world_from_actor.detach().double().cpu().numpy()
-        rectangle = box_rectangle(size, box, camera)
-        if rectangle is not None:
-            left, top = np.floor(np.maximum(rectangle[:2], 0)).astype(int)
-            right, bottom = np.ceil(np.maximum(rectangle[2:], 0)).astype(int)
-            inside[top:bottom, left:right] = True
-    return actor_opacity(alpha, torch.from_numpy(inside).to(alpha.device))
-
-
 def sharp_shape(log_scales: Tensor) -> Tensor:
     """mean(max(longest / shortest axis, 10) - 10) of (N, 3) log scales: needles make streaks."""
     ratio = (log_scales.amax(dim=1) - log_scales.amin(dim=1)).exp()
-    return (ratio - SHARPEST).clamp(min=0).mean()
+    return (ratio - OPTIM.sharpest).clamp(min=0).mean()
 
 
 def actor_opacity(alpha: Tensor, inside: Tensor) -> Tensor:
@@ -207,42 +387,6 @@ def actor_opacity(alpha: Tensor, inside: Tensor) -> Tensor:
     a = alpha.clamp(1e-6, 1 - 1e-6)
     empty = -(1 - a).log()
     return torch.where(inside, -a * a.log() + (1 - a) * empty, empty).mean()
-
-
-class TrackSmoothness:
-    """How far tracks are from even motion: |x(t + k) + x(t - k) - 2 x(t)| for k = 1..5 labels.
-
-    Labels are not all evenly spaced (held-out ones are missing), so the middle is compared with the
-    place at its own time between the two others.
-    """
-
-    def __init__(self, poses: TrackPoses) -> None:
-        self._poses = poses
-        starts, middles, ends, weights = [], [], [], []
-        positions = [np.zeros((0, 3))]
-        for row, times, logged in poses.knots():
-            positions.append(logged)
-            for k in range(1, SMOOTH_OVER + 1):
-                middle = np.arange(k, len(times) - k)
-                before, after = times[middle - k], times[middle + k]
-                starts.append(row + middle - k)
-                middles.append(row + middle)
-                ends.append(row + middle + k)
-                weights.append((times[middle] - before) / (after - before))
-        self._positions = torch.from_numpy(np.concatenate(positions))
-        none = [np.zeros(0, np.int64)]
-        self._start, self._middle, self._end = (
-            torch.from_numpy(np.concatenate(none + part)) for part in (starts, middles, ends)
-        )
-        self._weight = torch.from_numpy(np.concatenate([np.zeros(0), *weights]))[:, None]
-
-    def loss(self) -> Tensor:
-        """Mean over labels and k, metres; 0 without a track of three labels."""
-        if len(self._middle) == 0:
-            return torch.zeros(())
-        x = self._positions + self._poses.table.value[:, :3].double()
-        between = torch.lerp(x[self._start], x[self._end], self._weight)
-        return 2 * (between - x[self._middle]).abs().sum(dim=1).mean().float()
 
 
 def photometric_loss(image: Tensor, target: Tensor, ssim_weight: float = 0.2) -> Tensor:

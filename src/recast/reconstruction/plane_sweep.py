@@ -17,29 +17,8 @@ from numpy.typing import NDArray
 
 from recast.arrays import Array, Float32Array, Mask
 from recast.cameras import PinholeCamera
+from recast.reconstruction.settings import INIT
 from recast.reconstruction.views import TrainingView
-
-NEIGHBOURS = (-2, -1, 1, 2)
-
-
-HYPOTHESES = 48
-"""Depths that are tried, spaced evenly in inverse depth."""
-
-
-WINDOW = 7
-"""Edge of the matching window, pixels."""
-
-
-MAX_COST = 0.06
-"""Largest mean absolute difference (0 to 1) of an accepted pixel."""
-
-
-MIN_RATIO = 1.3
-"""The best depth elsewhere must cost at least this many times the best one."""
-
-
-MIN_TEXTURE = 0.02
-"""Least standard deviation of grey within the window."""
 
 
 def sweep_depths(
@@ -47,8 +26,7 @@ def sweep_depths(
     references: Sequence[int],
     wanted: Sequence[Mask],
     threads: int = 1,
-    near: float = 5.0,
-    far: float = 150.0,
+    range_m: tuple[float, float] = INIT.sweep_range_m,
 ) -> list[Float32Array]:
     """Depth maps (H, W) of reference views, metres along the camera axis, 0 where unknown.
 
@@ -56,15 +34,15 @@ def sweep_depths(
         views: views of one camera in order of time; neighbours are taken from these alone.
         references: indices into `views`.
         wanted: (H, W) mask per reference: pixels outside are not asked for.
-        near, far: range of depths, metres.
+        range_m: nearest and farthest depth that is tried, metres.
     """
-    inverse = np.linspace(1 / far, 1 / near, HYPOTHESES)
+    near, far = range_m
+    inverse = np.linspace(1 / far, 1 / near, INIT.sweep_hypotheses)
 
     def run(task: tuple[int, Mask]) -> Float32Array:
         reference, mask = task
-        neighbours = [
-            views[reference + step] for step in NEIGHBOURS if 0 <= reference + step < len(views)
-        ]
+        beside = [reference + step for step in INIT.sweep_neighbours]
+        neighbours = [views[number] for number in beside if 0 <= number < len(views)]
         return _sweep(views[reference], neighbours, mask, inverse)
 
     tasks = list(zip(references, wanted, strict=True))
@@ -81,7 +59,7 @@ def _sweep(
     rows = np.flatnonzero(wanted.any(axis=1))
     if len(rows) == 0 or len(neighbours) < 2:
         return result
-    half = WINDOW // 2
+    half = INIT.sweep_window_px // 2
     top, bottom = max(0, rows[0] - half), min(len(wanted), rows[-1] + half + 1)
     image = _grey(reference)[top:bottom]
     camera = reference.camera.cropped(0, int(top), reference.camera.width, int(bottom - top))
@@ -95,9 +73,9 @@ def _sweep(
         volume[i] = _mean_of_best_two(costs)
     index, accepted = _winner(volume)
     grey = image.astype(np.float32) / 255
-    size = (WINDOW, WINDOW)
+    size = (INIT.sweep_window_px, INIT.sweep_window_px)
     variance = cv2.blur(grey * grey, size) - cv2.blur(grey, size) ** 2
-    accepted &= variance > MIN_TEXTURE**2
+    accepted &= variance > INIT.sweep_least_texture**2
     accepted &= wanted[top:bottom]
     step = inverse[1] - inverse[0]
     depth = 1 / (inverse[0] + index * step)
@@ -125,7 +103,7 @@ def _cost(
     warped = cv2.warpPerspective(other_grey, homography, size, flags=flags)
     difference = cv2.absdiff(image, warped)
     difference[warped == 0] = 255  # `_grey` keeps 0 for what lies outside the image
-    cost = cv2.boxFilter(difference, cv2.CV_32F, (WINDOW, WINDOW))
+    cost = cv2.boxFilter(difference, cv2.CV_32F, (INIT.sweep_window_px, INIT.sweep_window_px))
     return np.asarray(cost, np.float32) * np.float32(1 / 255)
 
 
@@ -160,5 +138,5 @@ def _winner(volume: Float32Array) -> tuple[Array, Mask]:
         far_off = np.abs(best - i) > 3
         np.minimum(rival, np.where(far_off, volume[i], np.inf), out=rival)
     # The nearest hypothesis is where all that is nearer still ends up; the farthest is honest.
-    trusted = (cost < MAX_COST) & (rival > MIN_RATIO * cost) & (best < count - 1)
-    return index, trusted
+    better = (cost < INIT.sweep_most_cost) & (rival > INIT.sweep_least_ratio * cost)
+    return index, better & (best < count - 1)

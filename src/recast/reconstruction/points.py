@@ -14,34 +14,11 @@ from scipy.spatial import cKDTree
 from recast.arrays import Array, Float32Array
 from recast.geometry import se3
 from recast.logs import DrivingLog, LidarSweep, Track
+from recast.reconstruction.settings import INIT
 from recast.reconstruction.views import DepthSamples, TrainingView
 from recast.scene.poses import pose_at
 from recast.splats import Gaussians, morton_order
 from recast.splats.sh import C0
-
-MARGIN_M = 0.15
-
-
-GROUND_M = 0.1
-
-
-SKIPPED_US = 20_000
-"""Sweeps this close to a held-out image were taken together with it."""
-
-
-NEAR_M, FAR_M = 1.0, 100.0
-"""Depths at which points are looked for."""
-
-
-HIDING_PX = 3
-
-
-OPACITY, WIDTH = 0.3, 0.7
-"""Of first Gaussians; the width is a share of the distance to their neighbours."""
-
-
-FLATNESS = 0.3
-"""A neighbourhood counts as flat where it is this much thinner than narrow."""
 
 
 @dataclass(frozen=True)
@@ -68,7 +45,7 @@ def read_sweeps(
     held_out = np.asarray(held_out_us, np.int64)
     for stream in log.lidars.values():
         for index, timestamp in enumerate(stream.timestamps_us.tolist()):
-            if held_out.size and np.min(np.abs(held_out - timestamp)) < SKIPPED_US:
+            if held_out.size and np.min(np.abs(held_out - timestamp)) < INIT.held_out_us:
                 continue
             sweeps.append(_divide(stream.sweeps[index], log.world_from_rig.at(timestamp), actors))
     return sorted(sweeps, key=lambda sweep: sweep.timestamp_us)
@@ -94,9 +71,9 @@ def _divide(sweep: LidarSweep, world_from_rig: Array, actors: Mapping[str, Track
             pose = rough if exact is None else exact
         local = se3.apply(se3.inverse(pose), world[near])
         half = track.size / 2
-        inside = np.all(np.abs(local) <= half + MARGIN_M, axis=1)
+        inside = np.all(np.abs(local) <= half + INIT.box_margin_m, axis=1)
         free[near[inside]] = False
-        above = local[:, 2] >= GROUND_M - half[2]
+        above = local[:, 2] >= INIT.box_ground_m - half[2]
         local_points[track_id] = local[inside & above].astype(np.float32)
     return OwnedSweep(sweep.timestamp_us, world[free].astype(np.float32), local_points)
 
@@ -105,7 +82,7 @@ def depth_samples(
     view: TrainingView,
     sweeps: Sequence[OwnedSweep],
     actors: Mapping[str, Track],
-    window_us: int = 350_000,
+    window_us: int = INIT.depth_window_us,
 ) -> DepthSamples:
     """Depths of one view from the sweeps around its time, moving objects carried along.
 
@@ -133,22 +110,22 @@ def project_visible(
 ) -> tuple[NDArray[np.int64], Float32Array, Float32Array]:
     """Points (N, 3) of the world that a view sees: (index, uv (M, 2), depth (M,)).
 
-    A point counts as hidden where one in the pixels around it, up to `HIDING_PX` away, is nearer by
+    A point counts as hidden where one in the pixels around it, up to `hiding_px` away, is nearer by
     more than 5 % and 0.3 m.
     """
     camera = view.camera
     camera_from_world = view.camera_from_world.astype(np.float32)
     local = points @ camera_from_world[:3, :3].T + camera_from_world[:3, 3]
-    index = np.flatnonzero((local[:, 2] > NEAR_M) & (local[:, 2] < FAR_M))
+    index = np.flatnonzero((local[:, 2] > INIT.nearest_m) & (local[:, 2] < INIT.farthest_m))
     local = local[index]
     u = local[:, 0] / local[:, 2] * np.float32(camera.fx) + np.float32(camera.cx)
     v = local[:, 1] / local[:, 2] * np.float32(camera.fy) + np.float32(camera.cy)
     inside = (u >= 0) & (v >= 0) & (u < camera.width) & (v < camera.height)
     index, u, v, depth = index[inside], u[inside], v[inside], local[inside, 2]
-    buffer = np.full((camera.height, camera.width), FAR_M, np.float32)
+    buffer = np.full((camera.height, camera.width), INIT.farthest_m, np.float32)
     rows, columns = v.astype(np.int64), u.astype(np.int64)
     np.minimum.at(buffer, (rows, columns), depth)
-    around = np.ones((2 * HIDING_PX + 1, 2 * HIDING_PX + 1), np.uint8)
+    around = np.ones((2 * INIT.hiding_px + 1, 2 * INIT.hiding_px + 1), np.uint8)
     nearest = cv2.erode(buffer, around)[rows, columns]
     seen = depth < np.maximum(1.05 * nearest, nearest + 0.3)
     return index[seen], np.stack([u, v], -1)[seen], depth[seen]
@@ -235,11 +212,11 @@ def surface_frames(points: Float32Array) -> tuple[Array, Array]:
 
 
 def gaussians_from_points(
-    cloud: PointCloud, sh_degree: int, sigma_range: tuple[float, float] = (0.01, 3.0)
+    cloud: PointCloud, sh_degree: int, sigma_range: tuple[float, float] = INIT.background_sigma_m
 ) -> Gaussians:
-    """Gaussians in Morton order, sigma = `WIDTH` x rms distance to three neighbours.
+    """Gaussians in Morton order, sigma = `width` x rms distance to three neighbours.
 
-    Where the neighbourhood is flat, they are discs in its plane, `FLATNESS` as thick as wide, so
+    Where the neighbourhood is flat, they are discs in its plane, `flatness` as thick as wide, so
     that a road seen from another lane is still one surface; elsewhere they are balls.
 
     Args:
@@ -247,18 +224,18 @@ def gaussians_from_points(
     """
     cloud = cloud.select(morton_order(torch.from_numpy(cloud.points)).numpy())
     n = len(cloud)
-    sigma = np.clip(WIDTH * neighbour_distance(cloud.points), *sigma_range)
+    sigma = np.clip(INIT.width * neighbour_distance(cloud.points), *sigma_range)
     axes, spread = surface_frames(cloud.points)
-    flat = spread[:, 0] < FLATNESS * spread[:, 1]
+    flat = spread[:, 0] < INIT.flatness * spread[:, 1]
     axes[~flat] = np.eye(3)
     scales = np.repeat(sigma[:, None], 3, axis=1)
-    scales[flat, 0] = np.maximum(FLATNESS * sigma[flat], sigma_range[0])
+    scales[flat, 0] = np.maximum(INIT.flatness * sigma[flat], sigma_range[0])
     sh = torch.zeros(n, (sh_degree + 1) ** 2, 3)
     sh[:, 0] = (torch.from_numpy(cloud.colours) - 0.5) / C0
     return Gaussians(
         means=torch.from_numpy(cloud.points.astype(np.float32)),
         quats=torch.from_numpy(se3.matrix_to_quat(axes).astype(np.float32)),
         log_scales=torch.from_numpy(np.log(scales).astype(np.float32)),
-        logit_opacities=torch.full((n,), float(np.log(OPACITY / (1 - OPACITY)))),
+        logit_opacities=torch.full((n,), float(np.log(INIT.opacity / (1 - INIT.opacity)))),
         sh=sh,
     )

@@ -9,10 +9,7 @@ import numpy as np
 import torch
 
 from recast.reconstruction.config import SceneConfig
-
-POSES_FROM = 0.1
-"""Poses wait until the Gaussians have found their colours."""
-
+from recast.reconstruction.settings import OPTIM
 
 FLIPS, DEFORMATION = 1, 2
 """Streams of what a step sees mirrored, and of the first weights of the deformation network;
@@ -22,32 +19,17 @@ density control has the one without a number."""
 def gaussian_rates(config: SceneConfig, u: float) -> dict[str, float]:
     """Learning rate of each field of the Gaussians; `sh` is that of the constant band."""
     return {
-        "means": config.means_lr * 0.01**u,
+        "means": config.means_lr * OPTIM.means_decay**u,
         "quats": config.quats_lr,
-        "log_scales": config.scales_lr * 0.2**u,
-        "logit_opacities": config.opacities_lr * 0.3**u,
-        "sh": config.colours_lr * 0.3**u,
+        "log_scales": config.scales_lr * OPTIM.scales_decay**u,
+        "logit_opacities": config.opacities_lr * OPTIM.opacities_decay**u,
+        "sh": config.colours_lr * OPTIM.colours_decay**u,
     }
-
-
-def sky_rate(config: SceneConfig, u: float) -> float:
-    """Learning rate of the sky's cells."""
-    return config.sky_lr * 0.1**u
-
-
-def exposure_rate(config: SceneConfig, u: float) -> float:
-    """Learning rate of the images' affine colours."""
-    return config.exposure_lr * 0.1**u
-
-
-def deformation_rate(config: SceneConfig, u: float) -> float:
-    """Learning rate of the deformation network and of the actors' codes."""
-    return config.deformation_lr * 0.01**u
 
 
 def pose_factor(u: float) -> float:
     """Factor on the learning rates of poses: none at first, then falling to a twentieth."""
-    return 0.0 if u < POSES_FROM else 1 - 0.95 * u
+    return 0.0 if u < OPTIM.poses_from else 1 - OPTIM.poses_fall * u
 
 
 def coarse_factor(config: SceneConfig, u: float) -> int:

@@ -18,15 +18,8 @@ from recast.logs import DrivingLog
 from recast.logs.importers.waymo_proto import CAMERA_NAME
 from recast.pretrained import PretrainedFolder
 from recast.reconstruction.config import SceneConfig
+from recast.reconstruction.settings import INIT
 from recast.reconstruction.views import DepthSamples, TrainingView, fit_mask, near_samples
-
-LEAST_BRIGHT = 0.62
-"""Least value of the brightest channel of sky."""
-
-
-LARGEST_STEP = 0.12
-"""Largest step of the grey value across neighbouring pixels of sky."""
-
 
 _WAYMO = tuple(CAMERA_NAME.names.values())
 """Waymo's cameras by their number in names of files."""
@@ -149,9 +142,11 @@ def sky_mask(image: NDArray[np.uint8], occupied: Mask) -> Mask:
     grey = rgb @ np.array([0.299, 0.587, 0.114], np.float32)
     dx = cv2.Sobel(grey, cv2.CV_32F, 1, 0, ksize=3, scale=0.25)
     dy = cv2.Sobel(grey, cv2.CV_32F, 0, 1, ksize=3, scale=0.25)
-    smooth = np.hypot(dx, dy) < LARGEST_STEP
+    smooth = np.hypot(dx, dy) < INIT.sky_largest_step
     # Foliage and walls lit by the sun are bright too, but warm: red above blue.
-    candidate = (brightest > LEAST_BRIGHT) & (blue > -0.02) & smooth & ~occupied
+    bright = (brightest > INIT.sky_least_bright) & (blue > INIT.sky_least_blue)
+    candidate = bright & smooth & ~occupied
+
     # Thin bright strips (frames of signs, lamps) touch the top edge too; the sky is wide.
     square = np.ones((5, 5), np.uint8)
     opened = cv2.dilate(cv2.erode(candidate.astype(np.uint8), square, borderValue=1), square)

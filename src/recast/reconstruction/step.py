@@ -16,7 +16,6 @@ from recast.reconstruction.bodies import Body
 from recast.reconstruction.config import Measure, SceneConfig
 from recast.reconstruction.densify import (
     FIELDS,
-    SETTLE_EVERY,
     GradientStatistics,
     GroundSheet,
     control_density,
@@ -24,26 +23,17 @@ from recast.reconstruction.densify import (
     rows,
 )
 from recast.reconstruction.first_points import Initialisation
-from recast.reconstruction.losses import (
-    SHARP_SHAPE_EVERY,
-    DrawnView,
-    Span,
-    TrackSmoothness,
-    actors_alone,
-    sharp_shape,
-    view_loss,
-)
+from recast.reconstruction.losses import LOSS_TERMS, Drawing, DrawnView, Span, total_loss
 from recast.reconstruction.schedule import (
     FLIPS,
     DensitySchedule,
     coarse_factor,
-    exposure_rate,
     gaussian_rates,
     generator,
     picked_view,
     pose_factor,
-    sky_rate,
 )
+from recast.reconstruction.settings import OPTIM
 from recast.reconstruction.tables import (
     AdamTable,
     CameraPoses,
@@ -58,27 +48,20 @@ from recast.scene.appearance import coloured, frozen, mirrored, share_of
 from recast.scene.poses import DEFORMABLE
 from recast.scene.street_scene import StreetScene
 from recast.splats import Gaussians, RasterMeta, RowAdam, concatenate, rasterize
-from recast.splats.sh import C0
-
-RADIANS_PER_METRE = 0.1
-"""Learning rate of a camera's rotation in radians to that of its translation in metres."""
-
-
-REST_FROM = 3000
-"""Steps that canonical centres of deformable actors learn for, as in OmniRe, however short a run:
-they are where the LiDAR put them at first."""
-
-
-DEFORMING_ROOM = 1.5
-"""Factor of a deformable actor's box, outside of whose projection nothing of it is seen."""
 
 
 @dataclass(frozen=True)
 class StepReport:
-    """Loss and PSNR (dB) of the view of one step."""
+    """What came of one step.
+
+    Attributes:
+        loss, psnr: loss and PSNR (dB) of its view.
+        terms: weighted terms of the loss by name, scalars.
+    """
 
     loss: float
     psnr: float
+    terms: Mapping[str, Tensor]
 
 
 class Trainer:
@@ -110,6 +93,7 @@ class Trainer:
         self.device = torch.device(device)
         self._views = [view for view in views if not view.held_out]
         self._tracks = dict(tracks)
+        self._terms = [term(config) for term in LOSS_TERMS]
         self._density = DensitySchedule(config, len(self._views))
         self._levels = make_levels(config, self._views, start.sky_pixels, start.depths)
         self.model = TrainableScene(
@@ -128,7 +112,6 @@ class Trainer:
         self._symmetric = torch.tensor(symmetric, dtype=torch.bool)
         self.camera_poses = CameraPoses(self._views)
         self.track_poses = TrackPoses(tracks, views)
-        self._smoothness = TrackSmoothness(self.track_poses)
         self.exposures = Exposures(self._views)
         self._sheet: GroundSheet | None = None
         if start.ground is not None:
@@ -156,7 +139,7 @@ class Trainer:
                 self.limited_from = self.limited_from or self.iteration
         if self._density.resets(self.iteration):
             reset_opacities(self.model)
-        settles = self.iteration % SETTLE_EVERY == 0 or self.iteration == config.iterations
+        settles = self.iteration % OPTIM.settle_every == 0 or self.iteration == config.iterations
         if self._sheet is not None and settles:
             self._sheet.settle(self.model.background)
         return report
@@ -193,18 +176,18 @@ class Trainer:
         if not self.deformable.begun(u):
             return found
         for name, pose in poses.items():
-            size = DEFORMING_ROOM * self._tracks[name].size
+            size = OPTIM.deforming_room * self._tracks[name].size
             if name in self.deformable:
                 seen = visible_rectangle(size, pose.detach().double().numpy(), view)
                 found += [] if seen is None else [name]
         return found
 
     def _shaped(self, track_id: str, timestamp_us: int, gaussians: Gaussians) -> Gaussians:
-        """Deformed; canonical centres rest from `REST_FROM` on, as in OmniRe. A body's do not."""
+        """Deformed; canonical centres rest from `rest_from` on, as in OmniRe. A body's do not."""
         trajectory = self._tracks[track_id].trajectory
         if track_id in self._bodies:
             return self._bodies[track_id].skinning.at(gaussians, trajectory, timestamp_us)
-        if self.iteration >= REST_FROM:
+        if self.iteration >= OPTIM.rest_from:
             gaussians = replace(gaussians, means=gaussians.means.detach())
         return self.deformable.deformation(track_id).at(gaussians, trajectory, timestamp_us)
 
@@ -219,57 +202,56 @@ class Trainer:
         return (drawn & self._symmetric[owner]).to(self.device)
 
     def _fit(self, view: TrainingView, level: Level, u: float) -> StepReport:
+        """Draw, compare, and move what was drawn."""
         config, camera = self.config, level.camera
         poses = self.poses(view.timestamp_us)
         drawn = self._draw(poses, view, u)
         pose = self.camera_poses.camera_from_world(view)
-        result = rasterize(
-            drawn.gaussians,
-            pose,
-            level.K,
-            camera.width,
-            camera.height,
-            absgrad=self._density.counts_sizes(self.iteration),
-        )
+        size = camera.width, camera.height
+        absolute = self._density.counts_sizes(self.iteration)
+        result = rasterize(drawn.gaussians, pose, level.K, *size, absgrad=absolute)
         # The sky is smooth and far: the logged pose does for it.
         image = self.sky.behind(result.rgb, result.alpha, camera, view.camera_from_world)
-        prior = image.new_zeros(())
+        change = None
         if self._exposes():
             image, change = self.exposures.applied(image, view)
-            prior = config.exposure_weight * change
         if level.usable is not None:
             image = image * level.usable
-        loss = view_loss(config, image, result, level)
-        if config.sharp_shape_weight > 0 and self.iteration % SHARP_SHAPE_EVERY == 0:
-            prior = prior + config.sharp_shape_weight * sharp_shape(drawn.gaussians.log_scales)
-        if config.track_smoothness_weight > 0:
-            rough = self._smoothness.loss().to(prior.device)
-            prior = prior + config.track_smoothness_weight * rough
-        if config.actor_opacity_weight > 0 and not self._density.goes_on(self.iteration):
-            placed = [(self._tracks[name].size, at) for name, at in poses.items()]
-            prior = prior + config.actor_opacity_weight * actors_alone(drawn, pose, level, placed)
-        loss = loss + prior
+        drawing = Drawing(
+            iteration=self.iteration,
+            grows=self._density.goes_on(self.iteration),
+            image=image,
+            result=result,
+            drawn=drawn,
+            camera_from_world=pose,
+            boxes=[(self._tracks[name].size, at) for name, at in poses.items()],
+            exposure_change=change,
+            tracks=self.track_poses,
+        )
+        loss, terms = total_loss(self._terms, drawing, level)
         loss.backward()
         self.model.take_gradients(drawn)
         if self._density.counts(self.iteration):
             measures = config.densify_by, config.actor_densify_by
-            self.model.count(drawn, result.meta, camera.width, camera.height, *measures)
+            self.model.count(drawn, result.meta, *size, *measures)
         self._update(*self.model.visible(drawn, result.meta), u)
         squared = float((image.detach() - level.target).square().mean())
-        return StepReport(float(loss.detach()), -10 * float(np.log10(max(squared, 1e-10))))
+        psnr = -10 * float(np.log10(max(squared, 1e-10)))
+        return StepReport(float(loss.detach()), psnr, terms)
 
     def _update(self, background: Tensor, local: Tensor, u: float) -> None:
+        """Adam's step, of the rows that the view saw and of all tables."""
         config = self.config
         self.model.step(background, local, gaussian_rates(config, u))
-        self.sky.table.step(sky_rate(config, u))
+        self.sky.table.step(config.sky_lr * OPTIM.sky_decay**u)
         with torch.no_grad():
             self.sky.table.value.clamp_(0, 1)
-        self.exposures.table.step(exposure_rate(config, u))
+        self.exposures.table.step(config.exposure_lr * OPTIM.exposure_decay**u)
         self.deformable.step(u)
         factor = pose_factor(u)
         self.track_poses.table.step(factor * config.actor_pose_lr)
         metres = factor * config.camera_pose_lr
-        radians = RADIANS_PER_METRE * metres
+        radians = OPTIM.radians_per_metre * metres
         self.camera_poses.table.step(torch.tensor([metres] * 3 + [radians] * 3))
 
     def scene(self, log: DrivingLog) -> StreetScene:
@@ -306,22 +288,6 @@ STATES = ("background_adam", "local_adam", "background_statistics", "local_stati
 """Members of `TrainableScene` that a checkpoint holds beside the parameters."""
 
 
-MIN_LOG_SCALE = -4.8
-"""8 mm. Smaller ones hide between the pixel centres of the training views and show elsewhere."""
-
-
-MAX_ACTOR_LOG_SCALE = -1.2
-"""30 cm. Larger ones would paint what lies outside an actor's box."""
-
-
-COLOUR_LIMIT = 0.5 / C0
-"""Keeps the constant colour in [0, 1]: below 0 the rasterizer's clamp kills the gradient."""
-
-
-REST_RATE = 0.05
-"""View-dependent colour learns this much slower than the constant band (3DGS)."""
-
-
 class TrainableScene:
     """Background and actors with their optimiser states.
 
@@ -353,7 +319,7 @@ class TrainableScene:
         self.background_statistics = GradientStatistics(len(self.background), device)
         self.local_statistics = GradientStatistics(len(self.local), device)
         self.background_adam = _adam(self.background, rows(self.background), math.inf)
-        self.local_adam = _adam(self.local, self.local_parameters(), MAX_ACTOR_LOG_SCALE)
+        self.local_adam = _adam(self.local, self.local_parameters(), OPTIM.max_actor_log_scale)
 
     def place(
         self, background: Gaussians, local: Gaussians, owner: Tensor, fourier: Tensor
@@ -493,13 +459,13 @@ def copy(gaussians: Gaussians, part: slice = slice(None)) -> Gaussians:
 
 def _adam(gaussians: Gaussians, parameters: Mapping[str, Tensor], max_log_scale: float) -> RowAdam:
     bases = gaussians.sh.shape[1]
-    rates = torch.full((bases, 3), REST_RATE)
+    rates = torch.full((bases, 3), OPTIM.rest_rate)
     rates[0] = 1
     limit = torch.full((bases, 3), math.inf)
-    limit[0] = COLOUR_LIMIT
+    limit[0] = OPTIM.colour_limit
     return RowAdam(
         parameters,
         {},
         column_rates={"sh": rates},
-        bounds={"sh": (-limit, limit), "log_scales": (MIN_LOG_SCALE, max_log_scale)},
+        bounds={"sh": (-limit, limit), "log_scales": (OPTIM.min_log_scale, max_log_scale)},
     )

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 import torch
@@ -14,7 +15,8 @@ from recast.arrays import Array, Int64Array
 from recast.cameras import PinholeCamera
 from recast.logs import Track, Trajectory
 from recast.reconstruction.config import SceneConfig
-from recast.reconstruction.schedule import DEFORMATION, deformation_rate, generator
+from recast.reconstruction.schedule import DEFORMATION, generator
+from recast.reconstruction.settings import OPTIM
 from recast.reconstruction.views import TrainingView, deforms
 from recast.scene.appearance import exposed_colours
 from recast.scene.deformation import Deformation, DeformationNetwork, layer_shapes
@@ -28,8 +30,7 @@ from recast.scene.sky import (
     sky_from_cubemap,
     texel_directions,
 )
-
-BETA1, BETA2, EPSILON = 0.9, 0.999, 1e-15
+from recast.splats.adam import BETA1, BETA2, EPSILON
 
 
 class AdamTable:
@@ -166,13 +167,41 @@ class TrackPoses:
             ]
         return Trajectory(logged.timestamps_us, np.stack(poses))
 
-    def knots(self) -> list[tuple[int, Int64Array, Array]]:
-        """By track that has any: first row in the table, times (K,), logged centres (K, 3)."""
-        return [
-            (self._first_row[name], times, self._logged[name].at(times)[:, :3, 3])
-            for name, times in self._knots.items()
-            if len(times)
-        ]
+    def unevenness(self) -> Tensor:
+        """How far tracks are from even motion: mean |x(t + k) + x(t - k) - 2 x(t)|, metres.
+
+        Over labels and k = 1..`smooth_over` labels; 0 without a track of three labels. Labels are
+        not all evenly spaced (held-out ones are missing), so the middle is compared with the place
+        at its own time between the two others.
+        """
+        logged, start, middle, end, weight = self._triples
+        if len(middle) == 0:
+            return torch.zeros(())
+        x = logged + self.table.value[:, :3].double()
+        between = torch.lerp(x[start], x[end], weight)
+        return 2 * (between - x[middle]).abs().sum(dim=1).mean().float()
+
+    @cached_property
+    def _triples(self) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
+        """Logged centres (R, 3) of all rows; rows before, in the middle and after, and the share of
+        time (T, 1) at which the middle lies between both."""
+        parts: list[list[Array | Int64Array]] = [[], [], [], []]
+        positions = [np.zeros((0, 3))]
+        for name, times in self._knots.items():
+            if len(times) == 0:
+                continue
+            positions.append(self._logged[name].at(times)[:, :3, 3])
+            for k in range(1, OPTIM.smooth_over + 1):
+                middle = np.arange(k, len(times) - k)
+                before, after = times[middle - k], times[middle + k]
+                row = self._first_row[name] + middle
+                share = (times[middle] - before) / (after - before)
+                for part, own in zip(parts, (row - k, row, row + k, share), strict=True):
+                    part.append(own)
+        none = [np.zeros(0, np.int64)]
+        rows = [torch.from_numpy(np.concatenate(none + part)) for part in parts[:3]]
+        weight = torch.from_numpy(np.concatenate([np.zeros(0), *parts[3]]))[:, None]
+        return torch.from_numpy(np.concatenate(positions)), rows[0], rows[1], rows[2], weight
 
     def _at(self, track_id: str, timestamp_us: int) -> Tensor:
         """The offset (4,) float64 at a time."""
@@ -407,7 +436,7 @@ class DeformableNodes:
     def step(self, u: float) -> None:
         """Adam on the network, and on the codes of the actors that were drawn."""
         for table in self._tables.values():
-            table.step(deformation_rate(self._config, u))
+            table.step(self._config.deformation_lr * OPTIM.deformation_decay**u)
 
     def learned(self) -> dict[str, Deformation]:
         """Copies on the CPU by track id; they share one network."""

@@ -7,7 +7,7 @@ import time
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -138,6 +138,7 @@ class _Run:
         self._work = out / WORK_FOLDER
         self._recent: deque[tuple[float, float]] = deque(maxlen=100)
         self._clock: deque[tuple[int, float]] = deque(maxlen=20)
+        self._terms: Mapping[str, Tensor] = {}
 
     def finish(self) -> TrainResult:
         """Train to the end and write the scene."""
@@ -161,6 +162,7 @@ class _Run:
         while trainer.iteration < config.iterations:
             report = trainer.step()
             self._recent.append((report.loss, report.psnr))
+            self._terms = report.terms
             last = trainer.iteration == config.iterations
             if trainer.iteration % REPORT_EVERY == 0 or last:
                 self._tell("train", trainer.iteration, trainer, history)
@@ -234,6 +236,7 @@ class _Run:
                 limited=trainer is not None and trainer.limited_changes > 0,
                 loss=float(np.mean([loss for loss, _ in self._recent])) if self._recent else None,
                 psnr=float(np.mean([psnr for _, psnr in self._recent])) if self._recent else None,
+                terms={name: float(term) for name, term in self._terms.items()},
                 held_out_psnr=history[-1].get("held_out_psnr") if history else None,
                 iterations_per_second=rate,
                 seconds_left=left,
@@ -334,6 +337,7 @@ class TrainingStatus:
         most_gaussians: limit of Gaussians; None before it is known.
         limited: whether the limit kept any from being added.
         loss, psnr: running means over the latest training views; None before the first.
+        terms: weighted terms of the loss of the latest view, by name.
         held_out_psnr: PSNR of the last periodic evaluation in dB; None before the first.
         iterations_per_second: rate over the latest steps.
         seconds_left: estimate to the end of training.
@@ -347,6 +351,7 @@ class TrainingStatus:
     limited: bool = False
     loss: float | None = None
     psnr: float | None = None
+    terms: Mapping[str, float] = field(default_factory=dict)
     held_out_psnr: float | None = None
     iterations_per_second: float | None = None
     seconds_left: float | None = None

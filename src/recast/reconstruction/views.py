@@ -19,6 +19,7 @@ from recast.core.errors import InputError
 from recast.geometry import se3
 from recast.logs import CameraStream, DrivingLog, Track, Trajectory, all_track_points
 from recast.reconstruction.config import SceneConfig
+from recast.reconstruction.settings import INIT
 from recast.scene.poses import ARTICULATED, DEFORMABLE, moves, pose_at, stands
 
 
@@ -184,18 +185,12 @@ class DepthSamples:
     uv: Float32Array
 
 
-LIDAR_REACH_PX = 5
-
-
 def near_samples(view: TrainingView, samples: DepthSamples) -> Mask:
     """Pixels (H, W) within a few pixels of a LiDAR return."""
     hit = np.zeros((view.camera.height, view.camera.width), np.uint8)
     hit[samples.uv[:, 1].astype(np.int64), samples.uv[:, 0].astype(np.int64)] = 1
-    size = 2 * LIDAR_REACH_PX + 1
+    size = 2 * INIT.lidar_reach_px + 1
     return cv2.dilate(hit, np.ones((size, size), np.uint8)) > 0
-
-
-MAX_DEPTHS = 12_000
 
 
 @dataclass(frozen=True)
@@ -271,7 +266,7 @@ def make_level(
 
     Args:
         sky, ground: (H, W) masks of the view; no ground is kept where it is None.
-        samples: LiDAR depths, thinned evenly to `MAX_DEPTHS`.
+        samples: LiDAR depths, thinned evenly to `most_depths`.
     """
     camera, image, usable, uv = view.camera, view.image, view.mask, samples.uv
     if factor > 1:
@@ -283,7 +278,7 @@ def make_level(
         usable = None if usable is None else _wholly(usable, size)
         sky = _wholly(sky, size)
         ground = None if ground is None else _wholly(ground, size)
-    step = max(1, -(-len(samples.depths) // MAX_DEPTHS))
+    step = max(1, -(-len(samples.depths) // INIT.most_depths))
     uv, depths = uv[::step], samples.depths[::step]
     columns = np.minimum(uv[:, 0].astype(np.int32), camera.width - 1)
     rows = np.minimum(uv[:, 1].astype(np.int32), camera.height - 1)
@@ -339,13 +334,6 @@ def _ground(
     return ground & near_samples(view, samples) if config.sky_mask == "heuristic" else ground
 
 
-PARKED_US = 1_000_000
-"""Microseconds of labels, without which standing still cannot be told from moving slowly."""
-
-
-PARKED_VIEWS, PARKED_PIXELS, PARKED_POINTS = 3, 16, 50
-
-
 def deforms(track: Track, config: SceneConfig) -> bool:
     """Whether an actor is a deformable node: with `deformable`, people and cyclists that move."""
     moving = not stands(track.trajectory)
@@ -371,8 +359,8 @@ def choose_actors(
     """Tracks that get a model of their own: moving, parked or forced ones.
 
     A moving or forced track is one that is seen in at least one view. A parked vehicle is one that
-    was labelled for `PARKED_US` and seen well enough: by `PARKED_VIEWS` views in which its box is
-    `PARKED_PIXELS` wide and high, and where there is a LiDAR, by `PARKED_POINTS` points. It stands
+    was labelled for `parked_us` and seen well enough: by `parked_views` views in which its box is
+    `parked_pixels` wide and high, and where there is a LiDAR, by `parked_points` points. It stands
     at the median of its labels from the log's first pose to its last, since labels of what stands
     still differ by their noise alone.
 
@@ -423,12 +411,13 @@ def _parked(
         for track_id, track in log.tracks.items()
         if track.category not in DEFORMABLE
         and not moves(track.trajectory)
-        and np.ptp(track.trajectory.timestamps_us) >= PARKED_US
+        and np.ptp(track.trajectory.timestamps_us) >= INIT.parked_us
         and _seen_well(track, views)
     }
     if log.lidars and candidates:
         points = all_track_points(log, candidates)
-        candidates = {k: t for k, t in candidates.items() if len(points[k].points) >= PARKED_POINTS}
+        hit = {key for key, own in points.items() if len(own.points) >= INIT.parked_points}
+        candidates = {key: track for key, track in candidates.items() if key in hit}
     ends = log.world_from_rig.timestamps_us[[0, -1]]
     return {
         key: replace(track, trajectory=_standing(track.trajectory, ends))
@@ -447,7 +436,7 @@ def _standing(trajectory: Trajectory, ends: NDArray[np.int64]) -> Trajectory:
 def _seen_well(track: Track, views: Sequence[TrainingView]) -> bool:
     rectangles = (_rectangle(track, view) for view in views if not view.held_out)
     sides = [np.ptp(one.reshape(2, 2), axis=0) for one in rectangles if one is not None]
-    return sum(bool(np.all(side >= PARKED_PIXELS)) for side in sides) >= PARKED_VIEWS
+    return sum(bool(np.all(side >= INIT.parked_pixels)) for side in sides) >= INIT.parked_views
 
 
 def _rectangle(track: Track, view: TrainingView) -> Array | None:

@@ -33,7 +33,7 @@ def test_depth_of_a_textured_wall() -> None:
     ]
     wanted = np.ones((60, 120), bool)
     wanted[:, :10] = False
-    (found,) = sweep_depths(views, [2], [wanted], near=4.0, far=60.0)
+    (found,) = sweep_depths(views, [2], [wanted], range_m=(4.0, 60.0))
     assert (found[:, :10] == 0).all()
     inner = found[10:-10, 20:-20]
     known = inner > 0

@@ -12,18 +12,14 @@ import pytest
 from recast.logs import DrivingLog
 from recast.reconstruction import SceneConfig, TrainingStatus, TrainResult, train_scene
 from recast.reconstruction.densify import (
-    EACH_M2,
-    PIXELS_EACH,
-    STREET_REACH_M,
     Budget,
     gaussian_budget,
     street_area,
 )
-from recast.reconstruction.first_points import FIRST_SHARE
+from recast.reconstruction.settings import INIT
 from recast.reconstruction.views import read_views
 from recast.runs.scene import describe
-
-from .conftest import TINY
+from support.tiny_street import TINY
 
 
 @pytest.mark.parametrize("length", [0.0, 60.0, 300.0])
@@ -31,8 +27,8 @@ from .conftest import TINY
 def test_the_street_along_a_drive(length: float, heading: float) -> None:
     steps = np.linspace(0, length, 200)
     drive = np.stack([np.cos(heading) * steps, np.sin(heading) * steps], axis=-1)
-    wanted = 2 * STREET_REACH_M * length + math.pi * STREET_REACH_M**2
-    outline = 2 * length + 2 * math.pi * STREET_REACH_M
+    wanted = 2 * INIT.street_reach_m * length + math.pi * INIT.street_reach_m**2
+    outline = 2 * length + 2 * math.pi * INIT.street_reach_m
     # Cells of 5 m along the outline count whole or not at all, and positions are rounded to cells.
     assert abs(street_area(drive) - wanted) <= 5 * math.sqrt(2) * outline
     there_and_back = np.concatenate([drive, drive[::-1]])
@@ -47,11 +43,13 @@ def test_the_smaller_of_area_and_pixels_counts(tiny_log: DrivingLog) -> None:
     pixels = sum(view.image.shape[0] * view.image.shape[1] for view in training)
     assert found.training_pixels == pixels
     assert not found.named
-    derived = min(EACH_M2 * found.area_m2, pixels / PIXELS_EACH)
+    derived = min(INIT.each_m2 * found.area_m2, pixels / INIT.pixels_each)
     assert found.most_gaussians == max(20_000, int(derived))
     larger = gaussian_budget(config, views * 10)  # more images of the same street
     assert larger.area_m2 == found.area_m2
-    assert larger.most_gaussians == max(20_000, int(min(EACH_M2 * found.area_m2, derived * 10)))
+    assert larger.most_gaussians == max(
+        20_000, int(min(INIT.each_m2 * found.area_m2, derived * 10))
+    )
 
 
 def test_a_users_own_number_wins(tiny_log: DrivingLog) -> None:
@@ -92,7 +90,7 @@ def test_first_points_and_growth_keep_to_the_limit(tiny_log: DrivingLog, tmp_pat
     result = train_scene(tiny_log, tmp_path / "scene", config, told.append)
     budget = result.budget
     assert budget.named and budget.first_found == free
-    assert 0.95 * FIRST_SHARE * most <= budget.first_kept <= FIRST_SHARE * most
+    assert 0.95 * INIT.first_share * most <= budget.first_kept <= INIT.first_share * most
     assert max(status.gaussians for status in told) <= most
     assert result.history[-1]["gaussians"] > budget.first_kept, "growth has room"
     assert budget.limited_from == 20 and budget.limited_changes >= 1

@@ -12,26 +12,14 @@ import torch
 from recast.core.errors import InputError
 from recast.logs import DrivingLog, ego_path, even_ground
 from recast.reconstruction import TrainingStatus, TrainResult, train_scene
-from recast.reconstruction.densify import REACH_M, GroundSheet
+from recast.reconstruction.densify import GroundSheet
 from recast.reconstruction.points import read_sweeps
+from recast.reconstruction.settings import OPTIM
 from recast.reconstruction.train import WORK_FOLDER
 from recast.reconstruction.views import choose_actors, read_views
 from recast.scene import SceneRasterizer
 from recast.scene.store import read_tensors, write_tensors
-
-from .conftest import TINY
-
-
-class KilledError(Exception):
-    pass
-
-
-def contents(folder: Path) -> dict[str, bytes]:
-    return {
-        str(path.relative_to(folder)): path.read_bytes()
-        for path in folder.rglob("*")
-        if path.is_file()
-    }
+from support.tiny_street import TINY, KilledError, contents
 
 
 @pytest.fixture(scope="module")
@@ -94,7 +82,7 @@ def test_the_road_is_a_sheet(trained: TrainResult, tiny_log: DrivingLog) -> None
     sheet = GroundSheet(ground, TINY.ground_tolerance_m)
     means = trained.scene.background.means
     above = (means[:, 2] - sheet.surface(means)[0]).abs()
-    near = above < REACH_M
+    near = above < OPTIM.ground_reach_m
     assert int(near.sum()) > 100
     assert above[near].max() <= TINY.ground_tolerance_m + 1e-5
 

@@ -14,8 +14,7 @@ from recast.logs import DrivingLog, LidarSweep
 from recast.logs.types import SweepSource
 from recast.reconstruction import SHIFTS, SceneConfig, TrainResult, evaluate_scene, psnr
 from recast.scene import load_scene
-
-from .conftest import TINY
+from support.tiny_street import TINY
 
 
 def test_scores_pictures_and_repeatability(

@@ -24,8 +24,7 @@ from recast.simulation.scene_renderer import SceneRenderer
 from recast.splats import Rasterization, rasterize
 from recast.splats.cuda import pick_device
 from support.elsewhere import ELSEWHERE, elsewhere
-
-from .conftest import TINY
+from support.tiny_street import TINY, KilledError
 
 SHORT = TINY.model_copy(
     update={
@@ -88,10 +87,6 @@ def test_the_photometric_loss_elsewhere_is_the_fused_one() -> None:
         assert float(loss.detach()) == pytest.approx(float(fused.detach()), rel=1e-5)
         difference = there.grad.cpu() - here.grad
     assert float(difference.norm()) < 1e-4 * float(here.grad.norm())
-
-
-class KilledError(Exception):
-    pass
 
 
 @pytest.mark.usefixtures("there")

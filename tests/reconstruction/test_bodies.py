@@ -18,10 +18,8 @@ from recast.scene import load_scene
 from recast.scene.deformation import Skinning
 from recast.scene.store import BODIES_FILE, read_tensors, write_tensors
 from recast.splats.gaussians import quat_multiply, quat_to_matrix
-from scene.made_up import part
-
-from .conftest import TINY
-from .test_deformation import walking
+from support.gaussian_clouds import part
+from support.tiny_street import TINY, walking
 
 VERTICES, JOINTS, SHAPES = 40, 4, 3
 PARENTS = np.array([-1, 0, 1, 1])

@@ -23,11 +23,8 @@ from recast.scene.deformation import (
 )
 from recast.scene.store import DEFORMATION_FILE, read_tensors, write_tensors
 from recast.splats import Gaussians
-from scene.made_up import part
-
-from .conftest import TINY
-from .test_store import same
-from .test_train import KilledError, contents
+from support.gaussian_clouds import part
+from support.tiny_street import TINY, KilledError, contents, same, walking
 
 BANDS, TIME_BANDS, CODE = 3, 2, 4
 WALKER = TINY.model_copy(
@@ -128,11 +125,6 @@ def test_outside_of_its_time_the_shape_is_that_of_the_end() -> None:
     assert not torch.equal(at[0].means, at[10**6].means)
     for name in ("log_scales", "logit_opacities", "sh"):
         assert torch.equal(getattr(at[0], name), getattr(gaussians, name))
-
-
-def walking(log: DrivingLog) -> DrivingLog:
-    """The log, its moving car called a pedestrian."""
-    return replace(log, tracks={**log.tracks, "0": replace(log.tracks["0"], category="pedestrian")})
 
 
 @pytest.fixture(scope="module")

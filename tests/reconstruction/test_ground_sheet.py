@@ -11,7 +11,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from recast.logs import GroundHeight
-from recast.reconstruction.densify import REACH_M, THICKNESS_M, GroundSheet
+from recast.reconstruction.densify import GroundSheet
+from recast.reconstruction.settings import OPTIM
 from recast.splats import Gaussians
 from recast.splats.gaussians import quat_to_matrix
 
@@ -60,7 +61,9 @@ def test_what_is_near_a_slope_ends_flat_on_it(along_x: float, along_y: float, se
     assert above.abs().max() <= TOLERANCE + 1e-5
     was_above = before.means @ normal
     assert torch.allclose(above, was_above.clamp(-TOLERANCE, TOLERANCE), atol=1e-5)
-    assert (across(gaussians, normal / normal.norm()) <= THICKNESS_M * (1 + 1e-3)).all()
+    assert (
+        across(gaussians, normal / normal.norm()) <= OPTIM.ground_thickness_m * (1 + 1e-3)
+    ).all()
     assert torch.equal(gaussians.means[:, :2], before.means[:, :2])
     wide, was_wide = gaussians.log_scales.sort().values, before.log_scales.sort().values
     assert torch.equal(wide[:, 1:], was_wide[:, 1:])
@@ -86,7 +89,7 @@ def test_what_is_out_of_reach_stays_as_it_was() -> None:
     before = copied(gaussians)
     GroundSheet(ground, TOLERANCE).settle(gaussians)
     uneven = before.means[:, 0] > 1.5
-    far = (before.means[:, 2].abs() > REACH_M) | uneven
+    far = (before.means[:, 2].abs() > OPTIM.ground_reach_m) | uneven
     assert 20 < int(far.sum()) < 190
     for name in ("means", "quats", "log_scales"):
         assert torch.equal(getattr(gaussians, name)[far], getattr(before, name)[far])

@@ -9,11 +9,11 @@ import torch
 
 from recast.logs import Track, Trajectory
 from recast.reconstruction import SceneConfig, resolve_config
-from recast.reconstruction.densify import RESET_OPACITY, control_density, reset_opacities, rows
+from recast.reconstruction.densify import control_density, reset_opacities, rows
 from recast.reconstruction.schedule import DensitySchedule
+from recast.reconstruction.settings import OPTIM
 from recast.reconstruction.step import TrainableScene
-
-from .made_up import part
+from support.gaussian_clouds import part
 
 
 def steps(config: SceneConfig, what: str, views: int = 60) -> list[int]:
@@ -118,7 +118,7 @@ def test_a_reset_lowers_opacities_and_forgets_their_moments(model: TrainableScen
     a_step(model)
     before = model.background.logit_opacities[3].clone()
     reset_opacities(model)
-    limit = math.log(RESET_OPACITY / (1 - RESET_OPACITY))
+    limit = math.log(OPTIM.reset_opacity / (1 - OPTIM.reset_opacity))
     for gaussians in (model.background, model.local):
         assert float(gaussians.logit_opacities.detach().max()) <= limit + 1e-6
     assert model.background.logit_opacities[3] == before

@@ -25,8 +25,7 @@ from recast.reconstruction import (
 from recast.reconstruction.evaluate import held_out_frames
 from recast.reconstruction.evaluation import shifted_views
 from recast.scene import render_scene
-
-from .conftest import TINY
+from support.tiny_street import TINY
 
 FRAMES = [("image_02", 3), ("image_02", 11)]
 

@@ -7,7 +7,8 @@ import torch
 from recast.cameras import PinholeCamera
 from recast.reconstruction import SceneConfig
 from recast.reconstruction.schedule import coarse_factor
-from recast.reconstruction.views import MAX_DEPTHS, DepthSamples, TrainingView, make_level
+from recast.reconstruction.settings import INIT
+from recast.reconstruction.views import DepthSamples, TrainingView, make_level
 
 CAMERA = PinholeCamera(61, 38, 50.0, 50.0, 30.0, 19.0)
 
@@ -62,7 +63,7 @@ def test_a_waiting_view_is_small() -> None:
     pixels = 38 * 61
     assert level.image is view.image  # the view's own, not a copy
     held = sum(one.nbytes for one in vars(level).values() if isinstance(one, np.ndarray))
-    assert held <= 3 * pixels + 3 * (pixels + 7) // 8 + 8 * MAX_DEPTHS
+    assert held <= 3 * pixels + 3 * (pixels + 7) // 8 + 8 * INIT.most_depths
     assert held > 3 * pixels + 8 * 9_000
 
 

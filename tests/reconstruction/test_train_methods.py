@@ -14,6 +14,7 @@ from recast.reconstruction import SceneConfig, TrainingStatus, TrainResult, trai
 from recast.reconstruction.views import read_view
 from recast.scene import SceneRasterizer, load_scene
 from recast.splats import Rasterization, rasterize
+from support.tiny_street import KilledError
 
 EVERYTHING = SceneConfig(
     scale=0.5,
@@ -51,10 +52,6 @@ EVERYTHING = SceneConfig(
     evaluate_every=24,
     checkpoint_every=5,
 )
-
-
-class KilledError(Exception):
-    pass
 
 
 @pytest.fixture(scope="module")

@@ -8,8 +8,7 @@ from recast.reconstruction.tables import Exposures
 from recast.reconstruction.views import TrainingView
 from recast.scene.appearance import exposed, exposed_colours
 from recast.splats import rasterize
-
-from .made_up import K, part
+from support.gaussian_clouds import K, part
 
 AFFINE = torch.tensor([[1.1, 0.05, 0.0, 0.02], [0.0, 0.9, 0.03, 0.01], [0.02, 0.0, 1.05, 0.03]])
 

@@ -4,11 +4,11 @@ import pytest
 import torch
 
 from recast.reconstruction.densify import rows
-from recast.reconstruction.step import COLOUR_LIMIT, MIN_LOG_SCALE, TrainableScene
+from recast.reconstruction.settings import OPTIM
+from recast.reconstruction.step import TrainableScene
 from recast.scene.appearance import coloured, mirrored
 from recast.splats import Gaussians, concatenate, rasterize
-
-from .made_up import K, part
+from support.gaussian_clouds import K, part
 
 
 def pose(yaw: float, x: float) -> torch.Tensor:
@@ -67,8 +67,8 @@ def test_a_step_moves_visible_rows_within_bounds(model: TrainableScene) -> None:
     model.step(background, local, rates)
     assert not torch.equal(model.background.means[background], before["means"][background])
     assert torch.equal(model.background.means[~background], before["means"][~background])
-    assert (model.background.log_scales >= MIN_LOG_SCALE).all()
-    assert (model.background.sh[background, 0].abs() <= COLOUR_LIMIT + 1e-6).all()
+    assert (model.background.log_scales >= OPTIM.min_log_scale).all()
+    assert (model.background.sh[background, 0].abs() <= OPTIM.colour_limit + 1e-6).all()
     step = (model.background.sh - before["sh"])[background, 1:].abs().max()
     assert 0.2 < step < 0.3  # a twentieth of the rate
     assert torch.equal(model.draw({}).gaussians.means, model.background.means)  # same memory
