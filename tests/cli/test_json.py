@@ -247,8 +247,8 @@ def test_bench(tmp_path: Path, capsys: Capture, monkeypatch: pytest.MonkeyPatch)
 def test_scene_eval(
     tiny_log: DrivingLog, tiny_log_folder: Path, capsys: Capture, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from recast.scene import FrameScore, RegionScore, SceneEvaluation
-    from recast.scene.evaluate_record import DepthScore
+    from recast.reconstruction import FrameScore, RegionScore, SceneEvaluation
+    from recast.reconstruction.scores import DepthScore
 
     depth = DepthScore(100, 0.25, 0.1, 0.2, 0.02, 5.0)
     whole = RegionScore(30.0, 0.9)

@@ -12,10 +12,10 @@ from recast.core import files
 from recast.core.artefact import folder_hash
 from recast.core.errors import InputError
 from recast.logs import read_log
+from recast.reconstruction import SceneConfig
+from recast.reconstruction.train import claim_folder
 from recast.runs.config import resolve_config
 from recast.runs.run_folder import RunFolder
-from recast.scene import SceneConfig
-from recast.scene.run import claim_folder
 from recast.studies import resolve_bench
 from recast.studies.grid import begin
 

@@ -21,8 +21,9 @@ from recast.planning import Planner, make_planner
 from recast.runs.config import RunConfig
 from recast.runs.planner_cameras import announce_planner, run_mounts
 from recast.runs.rollouts import make_rollout, read_rollout
+from recast.scene.actor import SceneActor
 from recast.scene.sky import SkyMap
-from recast.scene.street_scene import SceneActor, StreetScene
+from recast.scene.street_scene import StreetScene
 from recast.simulation import MOTIONS, Rollout, RolloutSetup
 from recast.simulation.scene_renderer import SceneRenderer, through_lenses
 from recast.splats import Gaussians

@@ -20,11 +20,11 @@ SOURCE = Path(__file__).parents[2] / "src" / "recast"
 ACCEPTED = Path(__file__).with_name("recipes.json")
 CODE = {
     "log": ("logs", "synthetic", "core/table_files.py", "core/array_files.py"),
-    "actor": ("actors", "scene", "splats", "trellis", "runs/actor.py"),
-    "refine": ("actors", "scene", "splats"),
+    "actor": ("actors", "reconstruction", "scene", "splats", "trellis", "runs/actor.py"),
+    "refine": ("actors", "reconstruction", "scene", "splats"),
     "turntable": ("actors", "splats"),
-    "scene": ("scene", "splats"),
-    "evaluation": ("scene", "splats", "metrics/perceptual.py"),
+    "scene": ("reconstruction", "scene", "splats"),
+    "evaluation": ("reconstruction", "scene", "splats", "metrics/perceptual.py"),
     "truth": ("metrics", "synthetic"),
     "rollout": (
         *("simulation", "planning", "dynamics", "scene", "splats", "synthetic"),

@@ -16,9 +16,9 @@ from rich.console import Console
 
 from recast.cli.main import main
 from recast.core import Artefact, Store, files
+from recast.reconstruction import SceneConfig
 from recast.runs import making, sources
 from recast.runs.sources import SourceLog
-from recast.scene import SceneConfig
 from support.moments import forked
 
 PLANNER = """

@@ -13,8 +13,8 @@ from recast.logs import DrivingLog, HdMap, map_of
 from recast.planning import make_planner
 from recast.runs.view_run import log_runner
 from recast.scene import StreetScene
+from recast.scene.actor import SceneActor
 from recast.scene.sky import SkyMap
-from recast.scene.street_scene import SceneActor
 from recast.simulation import MOTIONS, Rollout, RolloutSetup, camera_mounts, run_rollout
 from recast.splats import Gaussians
 from recast.splats.sh import C0

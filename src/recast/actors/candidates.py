@@ -14,7 +14,7 @@ import numpy as np
 import torch
 
 from recast.actors.actor import Actor, CandidateRecord, CandidateScore
-from recast.actors.drawing import colour_difference, draw
+from recast.actors.drawing import colour_difference
 from recast.actors.evidence import Evidence, Sighting
 from recast.actors.generate import ActorGenerator, Asset, candidates_of, recast_mini_generator
 from recast.actors.icp import fit_of, outer_surface, thinned
@@ -24,6 +24,7 @@ from recast.actors.template import TemplateGenerator
 from recast.core.errors import InputError
 from recast.core.progress import Progress
 from recast.logs import DrivingLog
+from recast.scene.actor import draw
 
 _IMAGES = 16
 _LIDAR_POINTS = 6000

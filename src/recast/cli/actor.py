@@ -47,11 +47,12 @@ class Make:
         from recast.core.errors import require_range
         from recast.core.files import atomic_folder
         from recast.logs import read_log
+        from recast.reconstruction import SceneConfig, read_training_config
         from recast.runs.actor import ActorMakers, film_turntable, make_actor, refine_actor
         from recast.runs.arms import MOST_VIEWS
         from recast.runs.display import SamplingProgress, print_actor
         from recast.runs.layout import TURNTABLE_FILE
-        from recast.scene import SceneConfig, load_scene, read_training_config
+        from recast.scene import load_scene
 
         require_range(1, MOST_VIEWS, views=self.views)
         console = console_for(self.json)

@@ -93,9 +93,10 @@ class EvalActor:
     def _judge_tracks(self) -> None:
         from recast.core.errors import InputError
         from recast.logs import read_log
+        from recast.reconstruction import read_training_config
         from recast.runs.actor import ActorMakers
         from recast.runs.display import SamplingProgress
-        from recast.scene import load_scene, read_training_config
+        from recast.scene import load_scene
         from recast.studies.actors import evaluate_tracks, tracks_table
 
         if self.scene is None:

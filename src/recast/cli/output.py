@@ -57,7 +57,7 @@ PAGES = {
     "recast.planning.registry": "docs/planners.md#built-in",
     "recast.simulation.restoring": "docs/runs.md#restored-images",
     "recast.recar": "docs/recar.md",
-    "recast.scene.config": "docs/scenes.md#configuration",
+    "recast.reconstruction.config": "docs/scenes.md#configuration",
     "recast.simulation.scenario_file": _SCENARIO_FILE,
     "recast.simulation.scenario_names": _SCENARIO_FILE,
     "recast.splats.cuda": "docs/rasterizer.md#on-a-gpu",

@@ -39,14 +39,17 @@ class SceneTrain:
 
     def __call__(self) -> None:
         from recast.logs import read_log
-        from recast.runs.scene import train_with_display
-        from recast.scene import read_config, resolve_config
+        from recast.reconstruction import read_config, resolve_config, train_scene
+        from recast.runs.scene import TrainingDisplay
 
         names = ("cameras", "scale", "iterations", "force_dynamic", "seed", "threads")
         written = None if self.config is None else read_config(self.config)
         options = {name: getattr(self, name) for name in names}
         config = resolve_config(self.preset, written, options)
-        train_with_display(read_log(self.log), self.out, config, device=self.device)
+        log, console = read_log(self.log), console_for(False)
+        with TrainingDisplay(console) as display:
+            result = train_scene(log, self.out, config, progress=display, device=self.device)
+        console.print(result.budget.explain(), markup=False)
 
 
 @dataclass(frozen=True)

@@ -9,17 +9,24 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from recast.actors.drawing import draw
 from recast.arrays import Array, Image, Mask
 from recast.logs import DrivingLog
 from recast.metrics.cases import ActorView
 from recast.metrics.oracle_scores import grown, mask_iou
 from recast.metrics.perceptual import ImageDistance
-from recast.scene import SceneConfig, SceneRasterizer, StreetScene, ssim
-from recast.scene.dynamic import pose_at, visible_rectangle
-from recast.scene.evaluate import MIN_BOX_PX, draw_view
-from recast.scene.scores import Rectangle, capped_psnr, ssim_map
-from recast.scene.views import TrainingView, camera_names, is_held_out, read_view
+from recast.reconstruction import SceneConfig, ssim
+from recast.reconstruction.evaluate import MIN_BOX_PX, draw_view
+from recast.reconstruction.scores import Rectangle, capped_psnr, ssim_map
+from recast.reconstruction.views import (
+    TrainingView,
+    camera_names,
+    is_held_out,
+    read_view,
+    visible_rectangle,
+)
+from recast.scene import SceneRasterizer, StreetScene
+from recast.scene.actor import draw
+from recast.scene.poses import pose_at
 from recast.splats import Gaussians, LowPass
 
 _MARGIN = 24  # pixels around the box: more than half an SSIM window, and to look at

@@ -15,7 +15,7 @@ from recast.dynamics import PACIFICA
 from recast.geometry import boxes, se2, se3
 from recast.logs import DrivingLog, Track
 from recast.planning import ReferenceRoute
-from recast.scene.dynamic import moves
+from recast.scene.poses import moves
 from recast.simulation.recorded_road import RoadSurface
 
 _CLEARANCE = 1.0

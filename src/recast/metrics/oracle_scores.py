@@ -12,13 +12,13 @@ import torch
 from numpy.typing import ArrayLike
 
 from recast.actors.coverage import Coverage
-from recast.actors.drawing import draw
 from recast.arrays import Array, Image, Mask
 from recast.cameras import PinholeCamera, box_rectangle
 from recast.core.records import Record, read_record
 from recast.metrics.pairs import Bootstrap, cluster_bootstrap
+from recast.reconstruction.scores import Rectangle, capped_psnr, ssim_map
 from recast.scene import SceneActor
-from recast.scene.scores import Rectangle, capped_psnr, ssim_map
+from recast.scene.actor import draw
 
 VERSION: Literal[2] = 2
 """1 called the sides native and replaced."""

@@ -39,8 +39,8 @@ from recast.metrics.oracle_scores import (
     grown,
     summarise,
 )
+from recast.reconstruction.scores import Rectangle
 from recast.scene import SceneRasterizer, StreetScene
-from recast.scene.scores import Rectangle
 
 _MARGIN = 24  # pixels around the box that are ray-traced too: more than half an SSIM window
 _OF_PLACE = ("camera", "frame", "timestamp_us", "distance", "heading")

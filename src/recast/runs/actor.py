@@ -41,6 +41,8 @@ from recast.core.progress import Progress, ProgressBar
 from recast.geometry import boxes, se3
 from recast.logs import DrivingLog
 from recast.metrics import evaluate_oracle_views
+from recast.reconstruction import SceneConfig
+from recast.reconstruction.views import is_held_out
 from recast.reporting.actor_sheet import draw_actor_sheet, turntable_frames
 from recast.reporting.video import write_video
 from recast.runs.display import truth_table
@@ -52,8 +54,7 @@ from recast.runs.layout import (
     VIEWS_FOLDER,
 )
 from recast.runs.sources import SourceLog
-from recast.scene import SceneConfig, StreetScene
-from recast.scene.views import is_held_out
+from recast.scene import StreetScene
 from recast.simulation import camera_mounts
 from recast.synthetic import Oracle
 from recast.synthetic.rig import exposure

@@ -14,7 +14,7 @@ from pydantic import Field, model_validator
 from recast.actors.vehicle_files import VEHICLE_SUFFIXES
 from recast.core.errors import InputError
 from recast.core.records import Record
-from recast.scene import Preset
+from recast.reconstruction import Preset
 
 OWN_STREET = "recast"
 """The street that the run's own scene settings or `scene_folder` name."""

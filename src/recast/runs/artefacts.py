@@ -16,6 +16,8 @@ from recast.core import Artefact, Store
 from recast.core.artefact import value_hash
 from recast.core.progress import ProgressBar
 from recast.planning import Planner, looked_at, make_planner
+from recast.reconstruction import SceneConfig
+from recast.reconstruction.views import modelled_tracks
 from recast.runs.actor import ActorMakers
 from recast.runs.arms import OWN_STREET, PRESETS, Arm, truth_of
 from recast.runs.config import RunConfig
@@ -35,8 +37,7 @@ from recast.runs.planner_cameras import run_mounts
 from recast.runs.renderers import Renderers
 from recast.runs.rollouts import make_rollout, rollout_setup
 from recast.runs.sources import RECIPES, SourceLog, Sources
-from recast.scene import SceneConfig, StreetScene, load_scene
-from recast.scene.dynamic import modelled_tracks
+from recast.scene import StreetScene, load_scene
 from recast.simulation import (
     PlannerProcess,
     RolloutSetup,

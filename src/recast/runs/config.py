@@ -13,11 +13,11 @@ from recast.core.errors import InputError
 from recast.core.files import read_json
 from recast.core.records import Record, parse_record, validation_error
 from recast.planning import DEVICE_PATTERN
+from recast.reconstruction import Preset, SceneConfig, read_config, read_training_config
+from recast.reconstruction import resolve_config as scene_config
 from recast.runs.arm_words import is_street, parse_arms
 from recast.runs.arms import MOST_VIEWS, PRESETS, Arm, default_arms, require_undisturbed
 from recast.runs.paper import PAPER, paper_config
-from recast.scene import Preset, SceneConfig, read_config, read_training_config
-from recast.scene import resolve_config as scene_config
 from recast.scene.imported import IMPORT_FILE
 from recast.simulation import (
     MOTIONS,

@@ -14,11 +14,12 @@ from recast.core import Artefact, files
 from recast.core.records import parse_record
 from recast.logs import HdMap
 from recast.metrics import COLUMNS, RolloutMetrics, matched_pairs, table
+from recast.reconstruction import RegionScore
+from recast.reconstruction.evaluation import EVALUATION_VERSION
+from recast.reconstruction.scores import DepthScore
 from recast.runs.config import RunConfig
 from recast.runs.layout import ACTOR_FOLDER, VIEWS_FOLDER, use_parts
 from recast.runs.scored_rollouts import ScoredRollout, scored_rollouts
-from recast.scene import RegionScore
-from recast.scene.evaluate_record import EVALUATION_VERSION, DepthScore
 from recast.simulation import RolloutFailure
 
 if TYPE_CHECKING:

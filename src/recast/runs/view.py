@@ -19,9 +19,9 @@ from recast.runs.rollouts import is_failure, read_rollout
 from recast.runs.run_folder import RUN_FILE
 from recast.runs.view_run import drive_of, log_runner, named_place, run_inputs
 from recast.scene import StreetScene, load_scene
+from recast.scene.actor import SceneActor
 from recast.scene.sky import SkyMap
 from recast.scene.store import SCENE_FILE
-from recast.scene.street_scene import SceneActor
 from recast.simulation import RolloutFailure
 from recast.viewer import (
     Page,

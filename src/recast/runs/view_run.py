@@ -24,13 +24,14 @@ from recast.planning import (
     PlannerInput,
     make_planner,
 )
+from recast.reconstruction import SceneConfig
 from recast.runs.arms import Arm
 from recast.runs.config import RunConfig
 from recast.runs.layout import ACTOR_FOLDER, rollout_name, use_name, use_parts
 from recast.runs.planner_cameras import run_mounts
 from recast.runs.rollouts import films, read_rollout, rollout_setup
 from recast.runs.run_folder import RunFolder
-from recast.scene import SceneConfig, StreetScene, load_scene
+from recast.scene import StreetScene, load_scene
 from recast.simulation import (
     MOTIONS,
     Rollout,

@@ -22,17 +22,22 @@ from recast.core.records import Record
 from recast.geometry import se3
 from recast.logs import DrivingLog, read_log, write_log
 from recast.logs.checks import WORLD_REACH
-from recast.scene.run import log_fingerprint
 from recast.scene.sky import SkyMap, read_sky
-from recast.scene.store import save_scene
+from recast.scene.store import log_fingerprint, save_scene
 from recast.scene.street_scene import StreetScene
 from recast.splats import Gaussians
 from recast.splats.formats import format_of, read_gaussians
 
 TEXT_LIMIT = 1 << 16
 """Bytes of a file of a few numbers, at most."""
+
+
 IMPORT_VERSION = 1
+
+
 IMPORT_FILE = "import.json"
+
+
 MATCHED_SHARE = 0.5
 """With fewer ego positions within the background's bounds the frames are taken to differ."""
 

@@ -35,10 +35,11 @@ from recast.metrics.actor_scores import (
 from recast.metrics.cases import ActorView, read_cases
 from recast.metrics.perceptual import ImageDistance
 from recast.metrics.table import rounded
+from recast.reconstruction import SceneConfig
 from recast.reporting.canvas import at_width
 from recast.runs.actor import ActorMakers, StageProgress, make_actor, refine_actor
 from recast.runs.layout import ACTOR_FOLDER
-from recast.scene import SceneConfig, StreetScene
+from recast.scene import StreetScene
 from recast.studies.generation.maker import case_observation
 from recast.studies.sheets import ComparedView, comparison_sheet
 

@@ -16,7 +16,7 @@ from recast.cli.output import Rows, without_images
 from recast.core.errors import printable
 from recast.logs.info import LogInfo, TrackInfo
 from recast.logs.plausibility import Figures
-from recast.scene import RegionScore, SceneEvaluation
+from recast.reconstruction import RegionScore, SceneEvaluation
 from recast.scene.imported import ImportRecord
 
 Cell = Callable[[TrackInfo], str]

@@ -37,7 +37,7 @@ from recast.metrics.features import ToyFeatures
 from recast.metrics.inception import load_inception
 from recast.metrics.perceptual import load_lpips
 from recast.pretrained import Clip, checked_scores, load_vqa_scorer, square_crop
-from recast.scene.scores import Rectangle
+from recast.reconstruction.scores import Rectangle
 
 Features = Mapping[str, NDArray[np.generic]]
 Measure = Callable[[Sequence[Image]], NDArray[np.generic]]

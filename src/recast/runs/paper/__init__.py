@@ -11,8 +11,8 @@ from pathlib import Path
 from recast.core.errors import InputError
 from recast.logs import DrivingLog
 from recast.metrics.scene_level.frames import FrameRule, logged_frames
-from recast.scene import SceneConfig
-from recast.scene.dynamic import modelled_tracks
+from recast.reconstruction import SceneConfig
+from recast.reconstruction.views import modelled_tracks
 from recast.simulation import camera_mounts
 
 PAPER = "paper"

@@ -32,13 +32,13 @@ from recast.metrics.scene_level.frames import (
     spread_over_azimuth,
 )
 from recast.metrics.scene_level.scores import FEATURES_FILE, Networks, SeenImage, save_features
+from recast.reconstruction.scores import Rectangle
+from recast.reconstruction.views import read_view
 from recast.runs.arms import Arm
 from recast.runs.layout import use_name
 from recast.runs.rollouts import read_rollout
 from recast.runs.sources import RECIPES
 from recast.scene import load_scene
-from recast.scene.scores import Rectangle
-from recast.scene.views import read_view
 from recast.simulation import (
     Rollout,
     RolloutFailure,

@@ -11,7 +11,7 @@ from torch import Tensor, nn
 from torch.nn.functional import avg_pool2d, binary_cross_entropy_with_logits
 
 from recast.recar.training.assets import AssetStore, TrainingAsset, occupancy, voxel_features
-from recast.scene.scores import ssim_map
+from recast.reconstruction.scores import ssim_map
 from recast.splats import MIP, Gaussians, Rasterization, rasterize
 from recast.training.task import StepLoss, StepRandom
 from recast.trellis.conditioning import CompactImageEncoder

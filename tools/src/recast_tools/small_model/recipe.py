@@ -12,7 +12,7 @@ from torch import Tensor
 
 from recast.core.files import write_json
 from recast.recar.training.assets import AssetStore, occupancy, voxel_features
-from recast.scene import psnr
+from recast.reconstruction import psnr
 from recast.training.loop import Watch, train
 from recast.training.task import TrainerSettings, TrainingTask
 from recast.trellis import crop_to_object
