@@ -15,7 +15,6 @@ from recast.core.errors import InputError
 from recast.dynamics import PACIFICA
 from recast.geometry import boxes, se2, se3
 from recast.metrics import ViewSettings, evaluate_oracle_views, logged_views, read_oracle_views
-from recast.metrics.oracle_poses import angle_to_nearest, azimuth_elevation, place_views
 from recast.metrics.oracle_scores import (
     Agreement,
     agreement,
@@ -24,6 +23,7 @@ from recast.metrics.oracle_scores import (
     mask_iou,
     summarise,
 )
+from recast.metrics.oracle_views import angle_to_nearest, azimuth_elevation, place_views
 
 from .box_world import (
     CAMERA,

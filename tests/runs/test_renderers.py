@@ -9,10 +9,9 @@ import numpy as np
 import pytest
 
 from recast.cameras import CameraMount
-from recast.runs.arm_words import parse_arms
-from recast.runs.arms import Arm
+from recast.runs.arms import Arm, parse_arms
 from recast.runs.artefacts import Artefacts
-from recast.runs.renderers import Renderers
+from recast.runs.rollouts import Renderers
 from recast.simulation import SimState
 from recast.simulation.camera_noise import jittered
 from recast.simulation.oracle_renderer import OracleRenderer

@@ -11,15 +11,16 @@ import pytest
 
 from recast.core.errors import InputError
 from recast.metrics.frechet import frechet_distance
-from recast.studies.generation.cell import StudyCell, cell_is, read_cell, read_strip, write_cell
+from recast.studies.generation.cells import StudyCell, cell_is, read_cell, read_strip, write_cell
 from recast.studies.generation.report import (
+    StudyBlock,
     StudyFacts,
     differences_table,
     study_json,
     study_markdown,
     study_table,
+    summarize,
 )
-from recast.studies.generation.summary import StudyBlock, summarize
 
 IDS = tuple(f"car-{index}" for index in range(12))
 RNG = np.random.default_rng(0)

@@ -11,7 +11,7 @@ import torch
 from own_parts import Box
 from recast.logs import DrivingLog, HdMap, map_of
 from recast.planning import make_planner
-from recast.runs.view_run import log_runner
+from recast.runs.view import log_runner
 from recast.scene import StreetScene
 from recast.scene.sky import SkyMap
 from recast.scene.street_scene import SceneActor

@@ -9,7 +9,7 @@ from typing import Annotated, Literal
 import tyro
 
 from recast.cli import shared
-from recast.cli.output import JSON, console_for, print_json
+from recast.cli.shared import JSON, console_for, print_json
 
 SAMPLING_STEPS = shared.option("Number of sampling steps of structure and latent.", "the model's")
 MAX_VOXELS = shared.option(
@@ -50,7 +50,7 @@ class Make:
         from recast.runs.actor import ActorMakers, film_turntable, make_actor, refine_actor
         from recast.runs.arms import MOST_VIEWS
         from recast.runs.display import SamplingProgress, print_actor
-        from recast.runs.layout import TURNTABLE_FILE
+        from recast.runs.run_folder import TURNTABLE_FILE
         from recast.scene import SceneConfig, load_scene, read_training_config
 
         require_range(1, MOST_VIEWS, views=self.views)
@@ -116,7 +116,7 @@ class Generate:
     ] = None
 
     def __call__(self) -> None:
-        from recast.runs.generate_actor import (
+        from recast.runs.actor import (
             GenerationRequest,
             cost_lines,
             generate_actors,

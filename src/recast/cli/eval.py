@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import tyro
 
 from recast.cli import shared
-from recast.cli.output import JSON, console_for, print_json
+from recast.cli.shared import JSON, console_for, print_json
 
 if TYPE_CHECKING:
     from recast.recar.perturb import PerturbationConfig
@@ -166,15 +166,14 @@ class EvalGeneration:
 
     def __call__(self) -> None:
         from recast.core.progress import ProgressBar
-        from recast.studies.generation.maker import Measures
-        from recast.studies.generation.plan import StudySettings
+        from recast.studies.generation.cells import Measures
         from recast.studies.generation.report import (
             differences_table,
             paper_table,
             study_table,
         )
         from recast.studies.generation.rows import parse_models, read_rows
-        from recast.studies.generation.study import run_study
+        from recast.studies.generation.study import StudySettings, run_study
         from recast.weights import located
 
         models, beside = parse_models(self.model), dict[str, str]()
@@ -249,7 +248,7 @@ class EvalInputs:
     limit: Annotated[int | None, shared.LIMIT] = None
 
     def __call__(self) -> None:
-        from recast.studies.generation.plan import StudySettings, write_inputs
+        from recast.studies.generation.study import StudySettings, write_inputs
 
         settings = StudySettings(
             {},

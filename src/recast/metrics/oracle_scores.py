@@ -16,7 +16,7 @@ from recast.actors.drawing import draw
 from recast.arrays import Array, Image, Mask
 from recast.cameras import PinholeCamera, box_rectangle
 from recast.core.records import Record, read_record
-from recast.metrics.pairs import Bootstrap, cluster_bootstrap
+from recast.metrics.table import Bootstrap, cluster_bootstrap
 from recast.scene import SceneActor
 from recast.scene.scores import Rectangle, capped_psnr, ssim_map
 

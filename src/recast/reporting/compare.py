@@ -10,12 +10,10 @@ from typing import Any
 
 from recast.logs.hdmap import HdMap
 from recast.metrics import COLUMNS, RolloutMetrics, TableRow, table
-from recast.metrics.pairs import script_difference
-from recast.reporting.birdseye import Birdseye
+from recast.metrics.table import script_difference
+from recast.reporting.birdseye import Birdseye, MapLayer
 from recast.reporting.inputs import NOT_MADE, NotMade, ReportInputs, RolloutPart, ScenarioPart
-from recast.reporting.marks import MapLayer
-from recast.reporting.moment_strip import Strip, moment_strip
-from recast.reporting.moments import PATHS_APART, paths_part
+from recast.reporting.moments import PATHS_APART, Strip, moment_strip, paths_part
 from recast.reporting.page import PageAssets, render_template, write_page
 from recast.reporting.summary import RolloutOutcome, outcome
 from recast.reporting.tables import Line, TableCell, aggregate_line, difference_line, digits

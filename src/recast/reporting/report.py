@@ -13,15 +13,7 @@ from typing import Any
 from recast.core.workers import usable_cores
 from recast.logs.hdmap import HdMap
 from recast.reporting import palette, plots, summary, tables
-from recast.reporting.birdseye import Birdseye, BirdseyeStyle
-from recast.reporting.checks import (
-    checks,
-    coverage_lines,
-    coverage_note,
-    glance,
-    looked_at,
-    trust_note,
-)
+from recast.reporting.birdseye import Birdseye, BirdseyeStyle, MapLayer
 from recast.reporting.inputs import (
     NOT_MADE,
     ActorPart,
@@ -34,9 +26,16 @@ from recast.reporting.inputs import (
     ShowcasePart,
     TruthPart,
 )
-from recast.reporting.marks import MapLayer
-from recast.reporting.moment_strip import Strip, camera_towards, filmed_cameras, moment_strip
+from recast.reporting.moments import Strip, camera_towards, filmed_cameras, moment_strip
 from recast.reporting.page import Media, PageAssets, render_template, write_page
+from recast.reporting.summary import (
+    checks,
+    coverage_lines,
+    coverage_note,
+    glance,
+    looked_at,
+    trust_note,
+)
 from recast.reporting.truth import truth_view
 from recast.simulation.rollout import Rollout
 

@@ -11,9 +11,9 @@ import numpy as np
 from recast.metrics import Agreement, AngleBin, OracleView, OracleViews, read_oracle_views
 from recast.reporting import palette
 from recast.reporting.actor_sheet import SIDES
-from recast.reporting.figure import Figure, Plot
 from recast.reporting.inputs import NotMade, ShowcasePart, TruthPart
 from recast.reporting.page import Media, PageAssets
+from recast.reporting.plots import Figure, Plot
 from recast.reporting.tables import TableCell, Tone
 
 _LIMIT = 60.0  # degrees beyond which a view is one that the log never had

@@ -19,7 +19,6 @@ from recast.planning import Planner, looked_at, make_planner
 from recast.runs.actor import ActorMakers
 from recast.runs.arms import OWN_STREET, PRESETS, Arm, truth_of
 from recast.runs.config import RunConfig
-from recast.runs.layout import ACTOR_FOLDER, rollout_name, use_name
 from recast.runs.making import (
     Maker,
     VehicleParts,
@@ -31,9 +30,8 @@ from recast.runs.making import (
     take_street,
     train_street,
 )
-from recast.runs.planner_cameras import run_mounts
-from recast.runs.renderers import Renderers
-from recast.runs.rollouts import make_rollout, rollout_setup
+from recast.runs.rollouts import Renderers, make_rollout, rollout_setup, run_mounts
+from recast.runs.run_folder import ACTOR_FOLDER, rollout_name, use_name
 from recast.runs.sources import RECIPES, SourceLog, Sources
 from recast.scene import SceneConfig, StreetScene, load_scene
 from recast.scene.dynamic import modelled_tracks

@@ -26,7 +26,7 @@ from recast.runs.actor import (
     refine_actor,
 )
 from recast.runs.display import SamplingProgress, print_actor
-from recast.runs.layout import ACTOR_FOLDER, LOG_FOLDER, TURNTABLE_FILE
+from recast.runs.run_folder import ACTOR_FOLDER, LOG_FOLDER, TURNTABLE_FILE
 from recast.runs.scene import evaluation_table, train_with_display
 from recast.runs.sources import RECIPES, SourceLog, drive_log
 from recast.scene import SceneConfig, evaluate_scene, load_scene

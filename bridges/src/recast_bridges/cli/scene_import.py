@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import tyro
 
 from recast.cli import shared
-from recast.cli.scene_import import WORLD_FROM_SCENE, run_import, tell_import
+from recast.cli.shared import WORLD_FROM_SCENE, run_import, tell_import
 
 if TYPE_CHECKING:
     from recast.scene.imported import ImportRecord

@@ -12,7 +12,7 @@ from rich.console import RenderableType
 from rich.table import Table
 from rich.text import Text
 
-from recast.cli.output import Rows, without_images
+from recast.cli.shared import Rows, without_images
 from recast.core.errors import printable
 from recast.logs.info import LogInfo, TrackInfo
 from recast.logs.plausibility import Figures

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from recast.actors.actor import CandidateRecord
-from recast.cli.output import Rows, with_unit
+from recast.cli.shared import Rows, with_unit
 from recast.core.errors import InputError
 from recast.recar.statistics import SetStatistics
 from recast.recar.targets import TargetCache
@@ -14,7 +14,7 @@ from recast.recar.targets.builder import TargetStatistics
 from recast.recar.turntable import TurntableFit
 from recast.recar.views import VehicleSource
 from recast.studies.actors import ActorEvaluation, TrackResult
-from recast.studies.generation.summary import STUDY_COLUMNS, StudyBlock
+from recast.studies.generation.report import STUDY_COLUMNS, StudyBlock
 from recast.trellis.checkpoints import ModelCheck
 
 

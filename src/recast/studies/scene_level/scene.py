@@ -33,8 +33,8 @@ from recast.metrics.scene_level.frames import (
 )
 from recast.metrics.scene_level.scores import FEATURES_FILE, Networks, SeenImage, save_features
 from recast.runs.arms import Arm
-from recast.runs.layout import use_name
 from recast.runs.rollouts import read_rollout
+from recast.runs.run_folder import use_name
 from recast.runs.sources import RECIPES
 from recast.scene import load_scene
 from recast.scene.scores import Rectangle
