@@ -116,12 +116,7 @@ class Generate:
     ] = None
 
     def __call__(self) -> None:
-        from recast.runs.actor import (
-            GenerationRequest,
-            cost_lines,
-            generate_actors,
-            load_model,
-        )
+        from recast.runs.actor import GenerationRequest, cost_lines, generate_actors, load_model
         from recast.trellis import GenerationLimits
         from recast.weights import located
 

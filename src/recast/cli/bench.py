@@ -240,8 +240,7 @@ class Trust:
         ),
     ] = ()
     calibration: Annotated[
-        Path | None,
-        shared.option("Calibration to validate, if no grid is given.", "the package's"),
+        Path | None, shared.option("Calibration to validate, if no grid is given.", "the package's")
     ] = None
     json: Annotated[bool, JSON] = False
 

@@ -38,8 +38,7 @@ class EvalActor:
         Path | None, shared.option("Scene folder of the log, with models of the tracks.")
     ] = None
     track: Annotated[
-        shared.Names,
-        shared.option("Id of a track of the log to evaluate. May be repeated."),
+        shared.Names, shared.option("Id of a track of the log to evaluate. May be repeated.")
     ] = ()
     segmenter: Annotated[str, shared.SEGMENTER] = "box-lidar"
     axes: Annotated[str, shared.AXES] = "auto"
@@ -167,11 +166,7 @@ class EvalGeneration:
     def __call__(self) -> None:
         from recast.core.progress import ProgressBar
         from recast.studies.generation.cells import Measures
-        from recast.studies.generation.report import (
-            differences_table,
-            paper_table,
-            study_table,
-        )
+        from recast.studies.generation.report import differences_table, paper_table, study_table
         from recast.studies.generation.rows import parse_models, read_rows
         from recast.studies.generation.study import StudySettings, run_study
         from recast.weights import located
@@ -273,9 +268,5 @@ def _perturbations(what: str | None) -> PerturbationConfig | None:
 Eval = shared.group(
     "eval",
     "Evaluate generators of vehicles on held-out images; recast-bridges scores rollouts.",
-    {
-        "actor": EvalActor,
-        "generation": EvalGeneration,
-        "inputs": EvalInputs,
-    },
+    {"actor": EvalActor, "generation": EvalGeneration, "inputs": EvalInputs},
 )

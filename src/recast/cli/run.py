@@ -196,11 +196,5 @@ class ViewCommand:
         else:
             diagnostics.show_warnings()
             serve_what(
-                inputs,
-                self.host,
-                self.port,
-                self.max_gaussians,
-                self.out,
-                console,
-                self.allow_host,
+                inputs, self.host, self.port, self.max_gaussians, self.out, console, self.allow_host
             )

@@ -101,10 +101,7 @@ class PlacedView:
 
 
 def place_views(
-    log: DrivingLog,
-    track: Track,
-    mounts: Mapping[str, CameraMount],
-    settings: ViewSettings,
+    log: DrivingLog, track: Track, mounts: Mapping[str, CameraMount], settings: ViewSettings
 ) -> list[PlacedView]:
     """Place the vehicle on the logged path before the logged ego.
 

@@ -193,10 +193,7 @@ def table(metrics: Sequence[Scored], failures: Sequence[Attempt] = ()) -> list[T
 
 
 def _row(
-    planner: str,
-    arm: str,
-    metrics: Sequence[Scored],
-    failures: Sequence[Attempt],
+    planner: str, arm: str, metrics: Sequence[Scored], failures: Sequence[Attempt]
 ) -> TableRow:
     mine = [m for m in metrics if (m.planner, m.arm) == (planner, arm)]
     means: dict[str, float | None] = {}

@@ -52,15 +52,6 @@ def letter(number: int) -> str:
     return chr(ord("A") + number) if number < 26 else str(number + 1)
 
 
-@dataclass(frozen=True)
-class RunMoments:
-    """The moments of one scenario in one run."""
-
-    run: str
-    title: str
-    strip: Strip
-
-
 def write_comparison(runs: Sequence[ComparedRun], out: str | Path) -> Path:
     """Write a page that compares runs, the others with the first; return its `index.html`.
 
@@ -91,7 +82,7 @@ def _render(runs: Sequence[ComparedRun], assets: PageAssets) -> str:
         metrics=metric_lines(runs),
         outcomes=outcome_rows(runs),
         moments=[
-            RunMoments(letter(number), part.title, _strip(run, arms, letter(number), part, assets))
+            (letter(number), part.title, _strip(run, arms, letter(number), part, assets))
             for number, run in enumerate(runs)
             for part in run.scenarios.values()
         ],

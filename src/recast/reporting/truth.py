@@ -90,12 +90,7 @@ class TruthView:
 
 
 def truth_parts(
-    folder: str | Path,
-    arms: Mapping[str, str],
-    *,
-    baseline: str | None,
-    candidate: str,
-    truth: str,
+    folder: str | Path, arms: Mapping[str, str], *, baseline: str | None, candidate: str, truth: str
 ) -> tuple[ShowcasePart, TruthPart]:
     """First screen and section from the folder that `evaluate_oracle_views` wrote.
 

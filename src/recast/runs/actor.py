@@ -51,6 +51,7 @@ from recast.runs.run_folder import (
     EVIDENCE_FILE,
     OBSERVATION_FOLDER,
     REFINEMENT_CHECKPOINT,
+    TURNTABLE_FILE,
     VIEWS_FOLDER,
 )
 from recast.runs.sources import SourceLog
@@ -161,12 +162,7 @@ def refine_actor(
     evidence = load_evidence(registered / EVIDENCE_FILE).posed_by(scene)
     checkpoint = out / REFINEMENT_CHECKPOINT
     refined = refine(
-        actor,
-        evidence,
-        scene,
-        seed,
-        checkpoint=checkpoint,
-        progress=_stage(progress, "refinement"),
+        actor, evidence, scene, seed, checkpoint=checkpoint, progress=_stage(progress, "refinement")
     )
     if (out / ACTOR_FOLDER).exists():  # a kill between the folder and the removal below
         shutil.rmtree(out / ACTOR_FOLDER)
@@ -273,10 +269,6 @@ def compare_with_truth(
             progress=progress,
         )
     console.print(truth_table(views))
-
-
-_FILM_VIEWS = 72
-_FILM_SIZE = (640, 360)
 
 
 @dataclass(frozen=True)
@@ -405,10 +397,16 @@ def generate_actors(
 def _write_vehicle(folder: Path, vehicle: GeneratedVehicle, low_pass: LowPass) -> None:
     write_ply(folder / "vehicle.ply", vehicle.gaussians, low_pass)
     write_ply(folder / "viewer.ply", viewer_frame(vehicle.gaussians), low_pass)
-    width, height = _FILM_SIZE
-    made, views = vehicle.gaussians, _FILM_VIEWS
-    frames = orbit(made, _extents(made), views=views, width=width, height=height, low_pass=low_pass)
-    write_video(folder / "turntable.mp4", frames, fps=_FILM_VIEWS / 6)
+    (width, height), made = _TURNTABLE_SIZE, vehicle.gaussians
+    frames = orbit(
+        made,
+        _extents(made),
+        views=_TURNTABLE_VIEWS,
+        width=width,
+        height=height,
+        low_pass=low_pass,
+    )
+    write_video(folder / TURNTABLE_FILE, frames, fps=_TURNTABLE_VIEWS / 6)
 
 
 def _extents(gaussians: Gaussians) -> np.ndarray[Any, np.dtype[np.float64]]:

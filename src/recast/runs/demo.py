@@ -95,12 +95,7 @@ def demo(
             steps=size.steps,
             seed=seed,
             threads=threads,
-            scene=SceneConfig(
-                scale=1.0,
-                iterations=size.iterations,
-                seed=seed,
-                threads=threads,
-            ),
+            scene=SceneConfig(scale=1.0, iterations=size.iterations, seed=seed, threads=threads),
         )
     except ValidationError as error:
         raise validation_error("options", error, "give a value in range") from None

@@ -174,12 +174,7 @@ class VehicleParts:
 
 
 def register_vehicle(
-    maker: Maker,
-    source: SourceLog,
-    track: str,
-    parts: VehicleParts,
-    seed: int,
-    config: SceneConfig,
+    maker: Maker, source: SourceLog, track: str, parts: VehicleParts, seed: int, config: SceneConfig
 ) -> Artefact:
     """A generated vehicle, registered to the log's boxes and LiDAR, with its evidence.
 

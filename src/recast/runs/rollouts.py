@@ -149,11 +149,7 @@ class Renderers:
         return self._streets[key]
 
     def of(
-        self,
-        arm: Arm,
-        tracks: tuple[str, ...],
-        planner: str,
-        mounts: Mapping[str, CameraMount],
+        self, arm: Arm, tracks: tuple[str, ...], planner: str, mounts: Mapping[str, CameraMount]
     ) -> SensorRenderer:
         """The renderer of an arm.
 

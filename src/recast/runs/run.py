@@ -16,13 +16,7 @@ from recast.runs.config import RunConfig
 from recast.runs.display import failure_lines, results_tables
 from recast.runs.report import report_run
 from recast.runs.rollouts import announce_planner, require_distinct_planners
-from recast.runs.run_folder import (
-    METRICS_FILE,
-    REPLAY_FILE,
-    REPORT_FOLDER,
-    STORE_FOLDER,
-    RunFolder,
-)
+from recast.runs.run_folder import METRICS_FILE, REPLAY_FILE, REPORT_FOLDER, STORE_FOLDER, RunFolder
 from recast.runs.scores import RunTrust, read_metrics, write_metrics
 from recast.runs.sources import RECIPES, SourceLog, Sources
 from recast.runs.view import view_inputs

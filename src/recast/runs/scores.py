@@ -108,11 +108,7 @@ METRICS_VERSION: Literal[3] = 3
 
 
 def write_metrics(
-    path: Path,
-    config: RunConfig,
-    used: Mapping[str, Artefact],
-    hd_map: HdMap,
-    trust: RunTrust,
+    path: Path, config: RunConfig, used: Mapping[str, Artefact], hd_map: HdMap, trust: RunTrust
 ) -> None:
     """Score all rollouts of a run and write them with what its other artefacts measured.
 

@@ -24,13 +24,7 @@ from recast.core.names import folder_name
 from recast.core.progress import Progress
 from recast.logs import DrivingLog, HdMap, Trajectory, map_of, read_log
 from recast.logs.store import LOG_FILE
-from recast.planning import (
-    Plan,
-    Planner,
-    PlannerAround,
-    PlannerInput,
-    make_planner,
-)
+from recast.planning import Plan, Planner, PlannerAround, PlannerInput, make_planner
 from recast.runs.arms import Arm
 from recast.runs.config import RunConfig
 from recast.runs.rollouts import films, is_failure, read_rollout, rollout_setup, run_mounts

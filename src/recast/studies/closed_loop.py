@@ -19,11 +19,7 @@ from recast.core.errors import InputError, printable
 from recast.core.progress import ProgressBar
 from recast.logs import read_log
 from recast.metrics.table import COLUMNS, Bootstrap, rounded
-from recast.planning import (
-    Planner,
-    make_planner,
-    whole_planner,
-)
+from recast.planning import Planner, make_planner, whole_planner
 from recast.runs.arms import truth_of
 from recast.runs.display import failure_lines, narrow_table
 from recast.runs.rollouts import (

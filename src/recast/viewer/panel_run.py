@@ -82,7 +82,7 @@ def track_evidence(log: DrivingLog, track_id: str, actor: Actor | None = None) -
     length, width, height = track.size.tolist()
     lines = [
         f"{track.category}, {length:.1f} x {width:.1f} x {height:.1f} m, "
-        f"labelled for {(times[-1] - times[0]) / 1e6:.1f} s",
+        f"labelled for {(times[-1] - times[0]) / 1e6:.1f} s"
     ]
     if actor is not None:
         lines += actor_lines(actor)

@@ -241,12 +241,7 @@ class EvalRollouts:
 
     def __call__(self) -> None:
         from recast.core.progress import ProgressBar
-        from recast_bridges.scores.stored import (
-            score_rows,
-            score_run,
-            score_table,
-            write_scores,
-        )
+        from recast_bridges.scores.stored import score_rows, score_run, score_table, write_scores
 
         console = console_for(self.json)
         with ProgressBar("rollouts", console) as progress:

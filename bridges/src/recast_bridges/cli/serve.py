@@ -27,8 +27,7 @@ class _Scenes:
     log: Annotated[
         shared.Names,
         shared.option(
-            "Log folder of a scene folder: it has the cameras. May be repeated.",
-            metavar="PATH",
+            "Log folder of a scene folder: it has the cameras. May be repeated.", metavar="PATH"
         ),
     ] = ()
     arm: Annotated[

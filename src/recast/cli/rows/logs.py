@@ -254,13 +254,8 @@ def evaluation_rows(evaluation: SceneEvaluation) -> Rows:
 
 
 def _region(name: str, images: int, score: RegionScore | None) -> dict[str, Any]:
-    return {
-        "region": name,
-        "images": images,
-        "psnr_db": None if score is None else score.psnr,
-        "ssim": None if score is None else score.ssim,
-        "lpips": None if score is None else score.lpips,
-    }
+    psnr, ssim, lpips = (None,) * 3 if score is None else (score.psnr, score.ssim, score.lpips)
+    return {"region": name, "images": images, "psnr_db": psnr, "ssim": ssim, "lpips": lpips}
 
 
 def _depth(depth: Any) -> dict[str, Any]:

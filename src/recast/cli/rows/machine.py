@@ -73,15 +73,7 @@ class MachineFinding:
 
 def examine() -> list[MachineFinding]:
     """Look at everything recast can use."""
-    return [
-        *_platform(),
-        _pages(),
-        _kernel(),
-        *_cuda(),
-        *_optional(),
-        *_seams(),
-        _weights(),
-    ]
+    return [*_platform(), _pages(), _kernel(), *_cuda(), *_optional(), *_seams(), _weights()]
 
 
 def findings_table(findings: list[MachineFinding]) -> Table:

@@ -43,11 +43,7 @@ def scenario_rows(names: Sequence[str]) -> Rows:
     for motion in _motions(names):
         name = scenario_name(motion)
         found.append(
-            {
-                "scenario": name,
-                "description": motion.description,
-                **_numbers(target_motion(motion)),
-            }
+            {"scenario": name, "description": motion.description, **_numbers(target_motion(motion))}
         )
         actors += [
             {"scenario": name, "track_id": actor.track_id, **_numbers(actor.motion)}

@@ -98,11 +98,7 @@ class LevelRow:
 
 
 def summarise(
-    scenes: Mapping[str, MeasuredScene],
-    control: str,
-    samples: int,
-    frechet_samples: int,
-    seed: int,
+    scenes: Mapping[str, MeasuredScene], control: str, samples: int, frechet_samples: int, seed: int
 ) -> list[LevelRow]:
     """A line for each arm, in order, then one of the control.
 

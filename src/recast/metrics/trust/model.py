@@ -5,7 +5,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
@@ -158,8 +158,10 @@ class JudgedRollout:
     agrees: bool
 
 
-@dataclass(frozen=True)
-class ReliabilityBin:
+_Share = Annotated[float, Field(ge=0, le=1)]
+
+
+class ReliabilityBin(Record):
     """Rollouts whose trust lies from `low` up to `high`; the last bin includes 1.
 
     Attributes:
@@ -167,15 +169,14 @@ class ReliabilityBin:
         agreeing: share of them whose verdict is right; None without a rollout.
     """
 
-    low: float
-    high: float
-    count: int
-    trust: float | None
-    agreeing: float | None
+    low: _Share
+    high: _Share
+    count: int = Field(ge=0)
+    trust: _Share | None
+    agreeing: _Share | None
 
 
-@dataclass(frozen=True)
-class Reliability:
+class Reliability(Record):
     """How trust and truth go together.
 
     Attributes:
@@ -186,13 +187,13 @@ class Reliability:
         base_brier: the same of a figure that gives every rollout the share of right verdicts.
     """
 
-    scenes: int
-    rollouts: int
-    agreeing: int
-    auc: float | None
-    verdict_auc: float | None
-    brier: float
-    base_brier: float
+    scenes: int = Field(ge=1)
+    rollouts: int = Field(ge=1)
+    agreeing: int = Field(ge=0)
+    auc: _Share | None
+    verdict_auc: _Share | None
+    brier: _Share
+    base_brier: _Share
     bins: tuple[ReliabilityBin, ...]
 
 
@@ -223,11 +224,11 @@ def reliability(rollouts: Sequence[JudgedRollout], trust: ArrayLike) -> Reliabil
         known = bool(inside.any())
         bins.append(
             ReliabilityBin(
-                float(edges[i]),
-                float(edges[i + 1]),
-                int(inside.sum()),
-                float(given[inside].mean()) if known else None,
-                float(right[inside].mean()) if known else None,
+                low=float(edges[i]),
+                high=float(edges[i + 1]),
+                count=int(inside.sum()),
+                trust=float(given[inside].mean()) if known else None,
+                agreeing=float(right[inside].mean()) if known else None,
             )
         )
     share = float(right.mean())
@@ -272,7 +273,6 @@ VERSION: Literal[2] = 2
 MEASURED_SCENES = 20
 """A calibration on fewer scenes is provisional."""
 _MEND = "make it again with `recast bench trust`"
-_Share = Annotated[float, Field(ge=0, le=1)]
 
 
 class CalibratedFeature(Record):
@@ -283,29 +283,6 @@ class CalibratedFeature(Record):
     mean: float
     scale: float = Field(gt=0)
     known: int = Field(ge=0)
-
-
-class CalibrationBin(Record):
-    """See `ReliabilityBin`."""
-
-    low: _Share
-    high: _Share
-    count: int = Field(ge=0)
-    trust: _Share | None
-    agreeing: _Share | None
-
-
-class LeftOutScenes(Record):
-    """See `Reliability`; each scene is judged by a model that was fitted without it."""
-
-    scenes: int = Field(ge=2)
-    rollouts: int = Field(ge=1)
-    agreeing: int = Field(ge=0)
-    auc: _Share | None
-    verdict_auc: _Share | None
-    brier: _Share
-    base_brier: _Share
-    bins: tuple[CalibrationBin, ...]
 
 
 class CalibrationData(Record):
@@ -320,7 +297,10 @@ class CalibrationData(Record):
 
 
 class TrustCalibration(Record):
-    """What turns the features of a rollout into its trust; see docs/trust.md."""
+    """What turns the features of a rollout into its trust; see docs/trust.md.
+
+    In `left_out`, each scene is judged by a model that was fitted without it.
+    """
 
     format: Literal["recast-trust"] = FORMAT
     version: Literal[2] = VERSION
@@ -328,7 +308,7 @@ class TrustCalibration(Record):
     ridge: float = Field(gt=0)
     features: tuple[CalibratedFeature, ...]
     data: CalibrationData
-    left_out: LeftOutScenes
+    left_out: Reliability
 
     @model_validator(mode="after")
     def _fits(self) -> Self:
@@ -405,7 +385,7 @@ def calibrate(
             rollouts=len(rollouts),
             agreeing=agreeing,
         ),
-        left_out=LeftOutScenes.model_validate(asdict(found)),
+        left_out=found,
     )
     return calibration, found
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass
 from itertools import pairwise
 from typing import Any
 
@@ -196,52 +196,22 @@ _SEEN = {
 }
 
 
-@dataclass(frozen=True)
-class StudyFacts:
-    """What was studied, in plain values that do not depend on where files lie.
+def study_json(facts: Mapping[str, Any], blocks: Sequence[StudyBlock]) -> dict[str, Any]:
+    """All results as plain data, rounded to six decimals.
 
-    Attributes:
-        set: name of the folder.
-        models: models by name: last part of the path or name of the generator, and hash of its
-            content.
-        seed: seed of everything random.
-        placement: see `recast.studies.generation.cells`.
-        perturbations: the configuration; None where all inputs were clean.
-        measures: weights that were given, as `models`.
-        samples: number of bootstrap samples.
-        targets: see `recast.metrics.actor_scores`.
-        beside: rows of the paper by name of the row they stand beside.
+    Args:
+        facts: what was studied, see `recast.studies.generation.study`.
     """
-
-    set: str
-    models: Mapping[str, Mapping[str, str]]
-    seed: int
-    placement: str
-    perturbations: Mapping[str, Any] | None
-    measures: Mapping[str, Mapping[str, str]]
-    samples: int
-    targets: str = "set"
-    beside: Mapping[str, str] = field(default_factory=dict)
-
-    def to_json(self) -> dict[str, Any]:
-        """Plain data."""
-        return asdict(self)
+    return rounded({"version": 1, **facts, "blocks": [_block_json(block) for block in blocks]})
 
 
-def study_json(facts: StudyFacts, blocks: Sequence[StudyBlock]) -> dict[str, Any]:
-    """All results as plain data, rounded to six decimals."""
-    return rounded(
-        {"version": 1, **facts.to_json(), "blocks": [_block_json(block) for block in blocks]}
-    )
-
-
-def study_markdown(facts: StudyFacts, blocks: Sequence[StudyBlock]) -> str:
+def study_markdown(facts: Mapping[str, Any], blocks: Sequence[StudyBlock]) -> str:
     """Tables and paired differences for people."""
-    lines = [f"# Generation study on {facts.set}", ""]
+    lines = [f"# Generation study on {facts['set']}", ""]
     for block in blocks:
         lines += _block_markdown(block)
-    if facts.beside:
-        lines += _paper_markdown(blocks[0], facts.beside)
+    if facts["beside"]:
+        lines += _paper_markdown(blocks[0], facts["beside"])
     lines += ["## How to read it", ""]
     lines += [f"- {note}" for note in _notes(facts, blocks)]
     return "\n".join(lines) + "\n"
@@ -370,17 +340,17 @@ def _paper_lines(block: StudyBlock, beside: Mapping[str, str]) -> _Lines:
     return "ll" + "r" * len(PAPER_COLUMNS), lines
 
 
-def _notes(facts: StudyFacts, blocks: Sequence[StudyBlock]) -> list[str]:
+def _notes(facts: Mapping[str, Any], blocks: Sequence[StudyBlock]) -> list[str]:
     keys = set(blocks[0].rows[0].scores)
     pictures = ", ".join(f"{block.views} {block.condition}" for block in blocks)
     notes = [
         "All models get the same image of a vehicle: one view, chosen by the seed, that is not a "
-        f"target. Views are compared on a black background, {_SEEN[facts.targets]}. Scores are "
+        f"target. Views are compared on a black background, {_SEEN[facts['targets']]}. Scores are "
         "means over the vehicles that every model made; each vehicle has the same weight.",
-        f"Vehicles are placed {_PLACED[facts.placement]}. Images that were drawn elsewhere are "
+        f"Vehicles are placed {_PLACED[facts['placement']]}. Images that were drawn elsewhere are "
         "used as they are.",
-        f"Intervals: percentile bootstrap over vehicles, {facts.samples} samples. `better` names "
-        "the model that the interval favours, if it excludes zero. The intervals cover other "
+        f"Intervals: percentile bootstrap over vehicles, {facts['samples']} samples. `better` "
+        "names the model that the interval favours, if it excludes zero. The intervals cover other "
         "vehicles, not other training runs or seeds.",
         f"FD is the Frechet distance to the photographs of the same views ({pictures}). With few "
         "images it is too large, more so for features with more dimensions. Compare it within a "
@@ -388,7 +358,7 @@ def _notes(facts: StudyFacts, blocks: Sequence[StudyBlock]) -> list[str]:
         "Toy features are 128 handcrafted numbers (colours and gradients in 4 x 4 cells), a "
         "substitute that measures colour and layout. Do not compare them with published figures.",
     ]
-    if facts.perturbations is not None:
+    if facts["perturbations"] is not None:
         notes.append(
             "In the perturbed condition every input is perturbed, whatever `rho_clean` says. All "
             "models get the same perturbed image."

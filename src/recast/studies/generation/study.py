@@ -45,7 +45,6 @@ from recast.studies.generation.cells import (
 )
 from recast.studies.generation.report import (
     StudyBlock,
-    StudyFacts,
     study_json,
     study_markdown,
     summarize,
@@ -262,11 +261,7 @@ STUDY_FORMAT = "recast-generation-study"
 
 
 def run_study(
-    settings: StudySettings,
-    out: Path,
-    *,
-    workers: int = 1,
-    progress: Progress | None = None,
+    settings: StudySettings, out: Path, *, workers: int = 1, progress: Progress | None = None
 ) -> tuple[StudyBlock, ...]:
     """Make every vehicle by every model from every input, score, compare, and write it all.
 
@@ -323,40 +318,38 @@ def _begin(
 
 
 def _record(
-    settings: StudySettings,
-    cases: Sequence[ActorCase],
-    sources: Mapping[str, str],
-    complete: bool,
+    settings: StudySettings, cases: Sequence[ActorCase], sources: Mapping[str, str], complete: bool
 ) -> dict[str, Any]:
     return {
         "format": STUDY_FORMAT,
         "version": 1,
         "complete": complete,
-        **_facts(settings, sources).to_json(),
+        **_facts(settings, sources),
         "vehicles": [case.id for case in cases],
     }
 
 
-def _facts(settings: StudySettings, sources: Mapping[str, str]) -> StudyFacts:
+def _facts(settings: StudySettings, sources: Mapping[str, str]) -> dict[str, Any]:
+    """What was studied, in plain values that do not depend on where files lie."""
     perturbed, hashes = settings.perturbed, measure_hashes(settings.measures)
-    return StudyFacts(
-        set=settings.folder.resolve().name,
-        models={
+    return {
+        "set": settings.folder.resolve().name,
+        "models": {
             name: {"source": what.label, "hash": sources[name]}
             for name, what in settings.models.items()
         },
-        seed=settings.seed,
-        placement=settings.placement,
-        perturbations=None if perturbed is None else perturbed.model_dump(mode="json"),
-        measures={
+        "seed": settings.seed,
+        "placement": settings.placement,
+        "perturbations": None if perturbed is None else perturbed.model_dump(mode="json"),
+        "measures": {
             name: {"source": path.name, "hash": hashes[name]}
             for name, path in vars(settings.measures).items()
             if path is not None
         },
-        samples=settings.samples,
-        targets=settings.targets,
-        beside=dict(settings.beside),
-    )
+        "samples": settings.samples,
+        "targets": settings.targets,
+        "beside": dict(settings.beside),
+    }
 
 
 def _make(
