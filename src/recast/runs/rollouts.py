@@ -440,6 +440,8 @@ def rollout_setup(
     motion: ScriptedMotion,
     arm: str,
     start_left: float = 0.0,
+    seed: int = 0,
+    plan_limit_s: float | None = None,
 ) -> RolloutSetup:
     """What a run is asked for, as the setup of one rollout under the arm of a name."""
     return RolloutSetup(
@@ -453,4 +455,6 @@ def rollout_setup(
         keep_other_actors=config.keep_other_actors,
         camera_names=config.scene.cameras or tuple(log.cameras),
         start_left=start_left,
+        seed=seed,
+        plan_limit_s=plan_limit_s,
     )
