@@ -52,10 +52,7 @@ def test_collision_drivable_and_progress(golden, i):
 @pytest.mark.parametrize("i", range(6))
 @pytest.mark.parametrize(
     ("reading", "column", "future"),
-    [
-        ("realised", TTC, driving.realised_future),
-        ("cv", TTC_CV, driving.constant_velocity_future),
-    ],
+    [("realised", TTC, driving.realised_future), ("cv", TTC_CV, driving.constant_velocity_future)],
 )
 def test_time_to_collision(with_plans, i, reading, column, future):
     ego, actor = with_plans["ego"][i], with_plans["actor"][i]

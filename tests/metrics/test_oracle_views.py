@@ -25,17 +25,7 @@ from recast.metrics.oracle_scores import (
 )
 from recast.metrics.oracle_views import angle_to_nearest, azimuth_elevation, place_views
 
-from .box_world import (
-    CAMERA,
-    FACES,
-    MOUNTS,
-    SIZE,
-    BoxOracle,
-    box_log,
-    box_shares,
-    parked_at,
-    scene,
-)
+from .box_world import CAMERA, FACES, MOUNTS, SIZE, BoxOracle, box_log, box_shares, parked_at, scene
 
 LOG = box_log()
 REAR_ONLY = ((-1, 0, 0),)

@@ -48,8 +48,7 @@ def test_the_target_is_the_vehicle_that_most_images_show(
     shown = {"0": 3, "1": 5}
     monkeypatch.setattr("recast.studies.grid.modelled_tracks", lambda log, config: {"0", "1"})
     monkeypatch.setattr(
-        "recast.studies.grid.logged_frames",
-        lambda log, track, cameras, rule: [None] * shown[track],
+        "recast.studies.grid.logged_frames", lambda log, track, cameras, rule: [None] * shown[track]
     )
     assert choose_target(tiny_log) == "1"
     [scene] = parse_scenes([f"{tiny_log_folder}:auto"], 0)

@@ -60,10 +60,7 @@ def write_views(folder: Path, cases: list[ActorCase], dark: float = 1.0) -> Path
 def test_files_of_each_vehicle(vehicles: Path, tmp_path: Path) -> None:
     """As good as a model that knows the vehicles; only what changed is made anew."""
     files = write_files(tmp_path / "files")
-    models = {
-        "knows": StudyModel(PERFECT),
-        "files": StudyModel(f"files:{files}", axes="x,z"),
-    }
+    models = {"knows": StudyModel(PERFECT), "files": StudyModel(f"files:{files}", axes="x,z")}
     out = tmp_path / "out"
     (block,) = run_study(settings(vehicles, models), out)
     knows, made = (row.scores for row in block.rows)

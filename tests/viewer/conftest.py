@@ -75,10 +75,7 @@ def drive(tiny_log: DrivingLog, tiny_map: HdMap, rollout: Rollout) -> ViewedDriv
 
 @pytest.fixture(scope="session")
 def inputs(
-    tiny_log: DrivingLog,
-    tiny_map: HdMap,
-    scenes: dict[str, StreetScene | None],
-    drive: ViewedDrive,
+    tiny_log: DrivingLog, tiny_map: HdMap, scenes: dict[str, StreetScene | None], drive: ViewedDrive
 ) -> ViewInputs:
     runner = log_runner(tiny_log, tiny_map, scenes, scenes["native"])
     return ViewInputs(
