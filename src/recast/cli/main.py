@@ -267,7 +267,6 @@ def _refuse(program: str, words: Sequence[str], event: refused.ParseErrorEvent) 
 
     Args:
         program: the command, such as "recast log info".
-        words: words after it.
     """
     options = _options(program)
     for word in words:

@@ -60,7 +60,6 @@ class ActorView:
     """A background-free picture of a vehicle and its camera; can be sent to other processes.
 
     Attributes:
-        name: name of the picture within the vehicle.
         load: function that gives (H, W, 4) uint8, straight alpha; raises InputError.
         camera: camera without distortion.
         camera_from_actor: (4, 4), actor frame: box centre, x forward, y left, z up.

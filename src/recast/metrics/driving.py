@@ -62,7 +62,6 @@ def no_collision(
         actor: (S+1, >=3) x, y, heading of the actor's box centre.
         ego_size, actor_size: (>=2,) length and width in metres.
         dt: seconds between states.
-        name: name of the actor, for the reason.
     """
     actor = np.asarray(actor, np.float64)
     overlap = boxes.bev_overlap_area(ego_boxes, ego_size, actor[:, :3], actor_size)
@@ -157,7 +156,6 @@ def time_to_collision(
         actor_future: (C, N, 3) box centre at the same times.
         steps: (C,) steps of the plans, for the reason only.
         dt: seconds between waypoints.
-        name: name of the actor, for the reason.
     """
     predictions = np.asarray(predictions, np.float64)
     if len(predictions) == 0:

@@ -229,7 +229,6 @@ class OracleViews:
 
     Attributes:
         logged: how many logged images show it.
-        views: views in the order they were drawn.
         summary: see `recast.metrics.oracle_scores.EDGES`.
         showcase: index of the view that was kept as whole images: the one furthest from any logged
             view, at the nearest distance.

@@ -273,7 +273,6 @@ class Painter:
     """Draws a view with both actors and by the oracle.
 
     Args:
-        scenes: scenes by arm.
         size: (3,) length, width, height of the vehicle's box, metres.
         mounts: cameras as they are rendered.
         exposures: exposures of the truth's images, by camera; 1 where one is missing.

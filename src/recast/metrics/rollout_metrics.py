@@ -228,7 +228,6 @@ class RolloutActor(NamedTuple):
     """A controlled actor as the metrics see it.
 
     Attributes:
-        name: name of the actor in reasons.
         category: category, see `Track.category`; a rollout does not keep the target's: "vehicle".
         states: (S+1, 4) x, y, heading of the box centre, speed.
         size: (3,) length, width, height, metres.

@@ -32,7 +32,6 @@ class ComparedRun:
     Attributes:
         log: name of its log.
         log_hash: hash of the log's contents.
-        scenarios: scenarios by motion, setting and planner.
         settings: JSON-able members, nested as deep as one likes; those that differ are shown.
     """
 
@@ -57,9 +56,6 @@ def write_comparison(runs: Sequence[ComparedRun], out: str | Path) -> Path:
 
     The folder appears whole and asks for nothing from the network. The same runs give the same
     bytes.
-
-    Args:
-        runs: runs to compare, at least two.
 
     Raises:
         InputError: `out` holds something that is no report, or the disk is full.

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -263,12 +264,8 @@ class CoverageLine:
     """One rollout.
 
     Attributes:
-        title: title of its scenario.
         anchor: number of that scenario on the page.
         planned: whether it is about the planner's images; else about all that were recorded.
-        mean: mean coverage over the images.
-        visible: number of images that show the vehicle.
-        images: number of images.
     """
 
     title: str
@@ -437,21 +434,12 @@ def _completeness(scenarios: Sequence[ScenarioPart]) -> Check:
     return Check("Rollouts", text, "all; a rollout that was cut has fewer chances to fail", tone)
 
 
-@dataclass(frozen=True)
-class Glance:
+def glance(run: ReportInputs, checks: Sequence[Check]) -> dict[str, Any]:
     """Numbers for the first screen.
 
-    Attributes:
-        counts: how many checks are good, bad, and need care.
-        coverage: coverage of the vehicle over all images of all rollouts; None without shares.
+    `counts` says how many checks are good, bad, and need care; `coverage` is that of the vehicle
+    over all images of all rollouts, None without shares.
     """
-
-    counts: tuple[tuple[str, int], ...]
-    coverage: Coverage | None
-
-
-def glance(run: ReportInputs, checks: Sequence[Check]) -> Glance:
-    """Count the checks, and gather the coverage of all rollouts."""
     tones = [check.tone for check in checks]
     parts = () if isinstance(run.scenarios, NotMade) else run.scenarios
     images = [
@@ -462,7 +450,7 @@ def glance(run: ReportInputs, checks: Sequence[Check]) -> Glance:
         for image in looked_at(part.coverage).images
     ]
     mean = Coverage.mean(images)
-    return Glance(
-        counts=tuple((tone, tones.count(tone)) for tone in ("good", "bad", "warn")),
-        coverage=mean if mean.pixels > 0 else None,
-    )
+    return {
+        "counts": [(tone, tones.count(tone)) for tone in ("good", "bad", "warn")],
+        "coverage": mean if mean.pixels > 0 else None,
+    }

@@ -319,7 +319,6 @@ class RunTrust:
     """Judges the rollouts of one log and target.
 
     Args:
-        log: log that the rollouts were run on.
         track: id of the target's track.
         calibration: calibration to judge by; that of the package if None.
     """

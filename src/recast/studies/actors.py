@@ -77,11 +77,6 @@ def comparison_sheet(title: str, source: ScoredCutout, views: Sequence[ComparedV
 
     Tiles show what surrounds both vehicles, before grey; the difference is the absolute one of
     the images before black, as they are scored.
-
-    Args:
-        title: title of the input.
-        source: the input.
-        views: views to compare on, at least one.
     """
     first = _fitted(source.before(_GREY)[_around(source.mask)], _GREY)
     rows = []
@@ -186,9 +181,7 @@ def sheet(title: str, models: Sequence[str], rows: Sequence[SheetRow]) -> Image:
     """(H, W, 3) uint8.
 
     Args:
-        title: title of the inputs' column.
         models: names of the columns between input and truth.
-        rows: rows of the sheet, at least one.
     """
     views = max(row.truth.shape[1] for row in rows)
     width = TILE[0] + (len(models) + 1) * (views + _GAP)

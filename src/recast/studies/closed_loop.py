@@ -247,7 +247,6 @@ class GridResults:
     """What a grid shows.
 
     Attributes:
-        differences: differences of every arm from the first, by planner.
         table: a line for each planner and arm.
         truth: a line for each planner and arm that was compared with the truth.
         floors: agreement of the truth with the disturbed truth, by planner; empty without arms of

@@ -126,7 +126,6 @@ def agreements(rows: Sequence[GridRow], truth: str, samples: int, seed: int) -> 
         rows: rows of the whole grid, those of the truth among them.
         truth: the arm that renders the truth.
         samples: number of samples of the bootstrap over scenes.
-        seed: seed of the bootstrap.
     """
     found = zip(rows, verdicts(rows, truth), strict=True)
     compared = [(row, verdict) for row, verdict in found if verdict is not None]
@@ -147,11 +146,9 @@ def noise_floors(
     No reconstruction can be expected to agree more often.
 
     Args:
-        rows: rows of the whole grid.
         truth: the arm that renders the truth.
         noisy: arms that disturb it; they count as one arm, `NOISE_FLOOR`.
         samples: number of samples of the bootstrap over scenes.
-        seed: seed of the bootstrap.
     """
     pooled = [replace(row, arm=NOISE_FLOOR) for row in rows if row.arm in noisy]
     true = [row for row in rows if row.arm == truth]
@@ -235,7 +232,6 @@ class VerdictPart(NamedTuple):
     """Two arms that differ in one part alone.
 
     Attributes:
-        name: name of the part.
         arm: arm in which the part is as it should be.
         other: arm in which the part is wrong, or missing.
     """
@@ -274,10 +270,8 @@ def part_losses(
     """A line for each planner and part with a scenario to compare.
 
     Args:
-        rows: rows of the whole grid.
         truth: the arm that renders the truth; its verdicts all agree.
         samples: number of samples of the bootstrap over scenes.
-        seed: seed of the bootstrap.
     """
     agrees: dict[str, dict[tuple[str, ...], bool]] = {}
     for row, verdict in zip(rows, verdicts(rows, truth), strict=True):

@@ -81,7 +81,6 @@ class ViewedDrive:
         logged: (T, 3) where the ego was in the log; None if that is `rig`.
         plans: (step, waypoints (P, 3) in the world) of each plan, in order.
         events: moments to go to, in order.
-        cameras: cameras by name.
     """
 
     dt: float
@@ -113,7 +112,6 @@ class Runner:
     Attributes:
         hdmap: lanes, drivable area and ground.
         track: the actor to control.
-        motions: motions to choose from, by name.
         planners: names of the planners to choose from; the first is the default.
         steps: largest number of steps of 0.1 s.
         run: function that runs a motion with a planner in an arm, and gives the drive; reports its
@@ -134,7 +132,6 @@ class ViewInputs:
     """Everything that the viewer shows.
 
     Attributes:
-        title: title of the page.
         scenes: the street of each arm with its actors in it; None for an arm without Gaussians.
         scenarios: drives by scenario and arm.
         log: the recorded drive, for images, LiDAR and evidence; None if there is none.
@@ -234,7 +231,6 @@ def rollout_drive(
     """A rollout with its plans and the moments that matter.
 
     Args:
-        log: log that it was run on.
         hdmap: map of the log, for where the ego leaves the road; or None.
         mounts: cameras on the rig.
         films: what was rendered, by name of the camera.

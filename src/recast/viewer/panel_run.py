@@ -121,7 +121,6 @@ class TrackPanel:
 
     Args:
         server: server that gets the elements, within the container that is open.
-        playback: playback that knows the log and the arm.
     """
 
     def __init__(self, server: viser.ViserServer, playback: Playback) -> None:
@@ -180,8 +179,6 @@ class RunPanel:
 
     Args:
         server: server that gets the elements, within the container that is open.
-        playback: playback that gets the rollouts.
-        runner: runner that prepares and runs them.
         out: folder for scenario files.
     """
 

@@ -117,7 +117,6 @@ class PlayPanel:
 
     Args:
         server: server that gets the elements, within the container that is open.
-        playback: playback that the panel steers.
     """
 
     def __init__(self, server: viser.ViserServer, playback: Playback) -> None:

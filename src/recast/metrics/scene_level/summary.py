@@ -69,7 +69,6 @@ class Value:
     """A number of the table.
 
     Attributes:
-        value: value over all images.
         low, high: interval of 95 % over scenes.
         scene_mean: mean of the scenes' means; None for a Frechet distance.
         difference: difference from the first arm with its interval; None for the first arm, and for
@@ -85,12 +84,7 @@ class Value:
 
 @dataclass(frozen=True)
 class LevelRow:
-    """A line of the table.
-
-    Attributes:
-        images: number of images.
-        values: values by column.
-    """
+    """A line of the table."""
 
     arm: str
     images: int

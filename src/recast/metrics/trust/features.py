@@ -33,7 +33,6 @@ class GivenCamera:
     """A camera that a planner looks through, or that of the log at whose place it looks.
 
     Attributes:
-        name: name of the log's camera.
         width: width of the images that the planner is given, pixels.
     """
 
@@ -232,7 +231,6 @@ def trust_features(
     Only plans before the first contact count: what comes later has no part in the verdict.
 
     Args:
-        recorded: recorded views of the rollout's log and target.
         cameras: cameras that the planner is given; at least one.
         coverage: coverage of the rollout's images; None for a vehicle without shares.
         frames: held-out scores of the street; empty if no image was held out.

@@ -135,7 +135,6 @@ def place(
     """Gaussians in the actor frame, and plain facts on how they were placed.
 
     Args:
-        asset: asset from an `ActorGenerator`.
         size: (3,) length, width, height of the box, metres.
         observations: conditioning views with cameras; only `views` looks at them.
         how: see `Placement`.
@@ -234,7 +233,6 @@ class CellMaker:
 
     Args:
         measures: weights of the networks that views are scored by.
-        seed: seed of the models and of the perturbations.
         placement: see `recast.studies.generation.cells`.
 
     Raises:

@@ -74,8 +74,6 @@ class StudyBlock:
         identities: vehicles that every model made; all figures are over these.
         views: pictures that they were compared in.
         failures: reason why a vehicle could not be made, by model and vehicle.
-        rows: rows of the models, in their order.
-        differences: differences of consecutive models.
         vehicles: mean scores over a vehicle's views, by vehicle and model.
     """
 
