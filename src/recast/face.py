@@ -36,7 +36,6 @@ from recast.reconstruction import (
 from recast.reconstruction.train import CONFIG_FILE
 from recast.runs.actor import ActorMakers
 from recast.runs.arms import OWN_STREET
-from recast.runs.layout import ACTOR_FOLDER, STORE_FOLDER
 from recast.runs.making import (
     Maker,
     VehicleParts,
@@ -46,12 +45,13 @@ from recast.runs.making import (
     train_street,
 )
 from recast.runs.report import report_rollout, report_run
+from recast.runs.run_folder import ACTOR_FOLDER, STORE_FOLDER
 from recast.runs.sources import SourceLog, generator_source, segmenter_source
 from recast.scene import StreetScene, save_scene
 from recast.scene.imported import IMPORT_FILE
 from recast.simulation import Rollout, load_rollout
 from recast.studies import resolve_bench, run_closed_loop
-from recast.studies.results import GridResults
+from recast.studies.closed_loop import GridResults
 
 Place = str | Path | Store
 _READERS: Readers = {DrivingLog: load_log, StreetScene: SCENES.resolve, Rollout: load_rollout}

@@ -24,7 +24,7 @@ from recast.geometry import se3
 from recast.logs import DrivingLog
 from recast.runs.config import RunConfig
 from recast.splats import CLASSIC, MIP, Gaussians, LowPass, write_ply
-from recast.studies.generation.cell import place_canonical
+from recast.studies.generation.cells import place_canonical
 from recast.synthetic.vehicles import KINDS, sample_vehicle
 from recast.trellis import viewer_frame
 from recast.trellis.models.gaussians import (

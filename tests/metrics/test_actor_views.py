@@ -20,13 +20,13 @@ from recast.metrics.actor_scores import (
     framed,
     mean_scores,
     photographed,
+    read_cases,
     score_view,
 )
-from recast.metrics.cases import read_cases
 from recast.recar import begin_set, finish_set, read_set, regular_azimuths, write_identity
 from recast.recar.shards import pack_set
 from recast.splats import CLASSIC
-from recast.studies.sheets import ComparedView, comparison_sheet
+from recast.studies.actors import ComparedView, comparison_sheet
 from support.crops import RESERVED, SIZE, photograph, two_coloured_box, write_crops
 
 

@@ -13,7 +13,7 @@ from recast.core.errors import InputError
 from recast.geometry import se3
 from recast.scene.actor import look_at
 from recast.splats import Gaussians
-from recast.studies.generation.cell import place
+from recast.studies.generation.cells import place
 from support.crops import CAMERA, DISTANCE, SIZE, direction, photograph, two_coloured_box
 
 

@@ -74,10 +74,7 @@ def test_what_a_killed_command_held_is_free(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("module", ["embreex.rtcore_scene", "embreex.mesh_construction"])
 def test_a_demo_without_the_ray_tracer_asks_for_it_before_anything_begins(
-    tmp_path: Path,
-    capsys: pytest.CaptureFixture[str],
-    monkeypatch: pytest.MonkeyPatch,
-    module: str,
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, module: str
 ) -> None:
     monkeypatch.setitem(sys.modules, module, None)
     assert main(["demo", "--quick", "--out", str(tmp_path / "demo")]) == 2

@@ -28,11 +28,11 @@ CODE = {
     "truth": ("metrics", "synthetic"),
     "rollout": (
         *("simulation", "planning", "dynamics", "scene", "splats", "synthetic"),
-        *("runs/rollouts.py", "runs/renderers.py", "runs/planner_cameras.py"),
+        "runs/rollouts.py",
     ),
     "scene-level": ("metrics/scene_level", "studies/scene_level", "pretrained"),
-    "metrics": ("metrics", "runs/scores.py", "runs/scored_rollouts.py"),
-    "report": ("reporting", "runs/report.py", "runs/report_parts.py"),
+    "metrics": ("metrics", "runs/scores.py"),
+    "report": ("reporting", "runs/report.py"),
 }
 """Packages and modules whose code decides what a step writes. `core`, `geometry` and `cameras`,
 which all steps share, are left out: what they compute has tests with fixed numbers."""

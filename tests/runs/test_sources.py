@@ -160,9 +160,7 @@ def test_a_run_makes_again_what_was_edited_and_what_follows(
 
 
 def test_a_run_and_its_store_go_on_elsewhere(
-    code: Callable[[str, str], None],
-    tiny_log_folder: Path,
-    tmp_path: Path,
+    code: Callable[[str, str], None], tiny_log_folder: Path, tmp_path: Path
 ) -> None:
     """Copied together, with or without their links; the report is written there, too."""
     first, log = tmp_path / "first" / "run", tiny_log_folder

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from recast.core.errors import InputError
 from recast.geometry import boxes, se2
 from recast.logs.types import DrivingLog, Track, Trajectory
-from recast.metrics.collision import constant_velocity_future
+from recast.metrics.driving import constant_velocity_future
 from recast.planning import ActorState, ConstantVelocity, IdmLaneFollower, LogReplay, ReferenceRoute
 from recast.simulation import (
     MOTIONS,

@@ -15,7 +15,7 @@ from recast.core.errors import InputError
 from recast.geometry import boxes
 from recast.logs.types import DrivingLog
 from recast.metrics import rollout_metrics
-from recast.metrics.pairs import script_difference
+from recast.metrics.table import script_difference
 from recast.planning import ConstantVelocity, IdmLaneFollower, LogReplay
 from recast.simulation import (
     MOTIONS,

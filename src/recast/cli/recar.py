@@ -10,9 +10,9 @@ import tyro
 
 from recast.cli import shared
 from recast.cli.actor import MAX_VOXELS, SAMPLING_STEPS
-from recast.cli.output import JSON, console_for, print_json
 from recast.cli.recar_sets import Ingest, Pack, Perturb, RecarCamera, Screen
 from recast.cli.recar_train import RecarTrain
+from recast.cli.shared import JSON, console_for, print_json
 
 
 @dataclass(frozen=True)

@@ -10,7 +10,7 @@ from typing import Annotated, Literal
 import tyro
 
 from recast.cli import shared
-from recast.cli.output import JSON, console_for, line_of, print_json
+from recast.cli.shared import JSON, console_for, line_of, print_json
 from recast.core import diagnostics
 
 

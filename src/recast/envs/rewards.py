@@ -10,8 +10,7 @@ import numpy as np
 import shapely
 from numpy.typing import ArrayLike
 
-from recast.metrics.collision import TOUCHING, any_collision, no_collision
-from recast.metrics.route import drivable_area_compliance
+from recast.metrics.driving import TOUCHING, any_collision, drivable_area_compliance, no_collision
 from recast.planning import ReferenceRoute
 from recast.simulation import Rollout
 

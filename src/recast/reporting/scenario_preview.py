@@ -12,10 +12,10 @@ from rich.table import Table
 from recast.arrays import Array, Image
 from recast.dynamics import state as ego
 from recast.geometry import boxes
-from recast.metrics.collision import TOUCHING
+from recast.metrics.driving import TOUCHING
 from recast.reporting import palette
+from recast.reporting.birdseye import MapLayer, draw_car, draw_scale_bar, fitted_view
 from recast.reporting.canvas import Canvas, CanvasView, dashed
-from recast.reporting.marks import MapLayer, draw_car, draw_scale_bar, fitted_view
 from recast.reporting.plots import first_true
 from recast.simulation import PreparedRollout, RolloutSetup, ego_centre
 from recast.simulation.scenario_names import scenario_name

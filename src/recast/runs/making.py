@@ -18,7 +18,9 @@ from rich.markup import escape
 from recast.actors import load_actor
 from recast.core import Artefact, Store, file_hash, folder_hash
 from recast.core.errors import printable
-from recast.reconstruction import SceneConfig, evaluate_scene, train_scene
+from recast.reconstruction import train_scene
+from recast.reconstruction.config import SceneConfig
+from recast.reconstruction.evaluate import evaluate_scene
 from recast.reconstruction.train import FREE_FIELDS
 from recast.runs.actor import (
     ActorMakers,
@@ -28,7 +30,7 @@ from recast.runs.actor import (
     refine_actor,
 )
 from recast.runs.display import SamplingProgress, print_actor
-from recast.runs.layout import ACTOR_FOLDER, LOG_FOLDER, TURNTABLE_FILE
+from recast.runs.run_folder import ACTOR_FOLDER, LOG_FOLDER, TURNTABLE_FILE
 from recast.runs.scene import TrainingDisplay, evaluation_table
 from recast.runs.sources import RECIPES, SourceLog, drive_log
 from recast.scene import load_scene
@@ -181,12 +183,7 @@ class VehicleParts:
 
 
 def register_vehicle(
-    maker: Maker,
-    source: SourceLog,
-    track: str,
-    parts: VehicleParts,
-    seed: int,
-    config: SceneConfig,
+    maker: Maker, source: SourceLog, track: str, parts: VehicleParts, seed: int, config: SceneConfig
 ) -> Artefact:
     """A generated vehicle, registered to the log's boxes and LiDAR, with its evidence.
 

@@ -15,7 +15,7 @@ from recast.cameras import CameraMount
 from recast.core.artefact import value_hash
 from recast.core.errors import InputError
 from recast.logs import DrivingLog, Track
-from recast.metrics.collision import no_collision
+from recast.metrics.driving import no_collision
 from recast.planning import Planner, make_planner, whole_planner
 from recast.runs.sources import RECIPES, planner_source
 from recast.simulation import (

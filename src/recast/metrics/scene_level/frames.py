@@ -132,10 +132,7 @@ def visible_share(
 
 
 def logged_frames(
-    log: DrivingLog,
-    track_id: str,
-    cameras: Iterable[tuple[str, PinholeCamera]],
-    rule: FrameRule,
+    log: DrivingLog, track_id: str, cameras: Iterable[tuple[str, PinholeCamera]], rule: FrameRule
 ) -> Iterator[LoggedFrame]:
     """Logged images in which a vehicle's box counts and no other labelled box hides it.
 

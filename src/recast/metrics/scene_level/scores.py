@@ -279,7 +279,6 @@ def image_scores(features: Features, references: Features, compared: Array) -> d
     """Scores (N,) of the images of an arm in a scene, by column; those there are networks for.
 
     Args:
-        features: features of the arm's images.
         references: features of the scene's logged images.
         compared: (K,) indices of the references that crops are compared with.
     """

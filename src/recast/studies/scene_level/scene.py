@@ -35,8 +35,8 @@ from recast.metrics.scene_level.scores import FEATURES_FILE, Networks, SeenImage
 from recast.reconstruction.scores import Rectangle
 from recast.reconstruction.views import read_view
 from recast.runs.arms import Arm
-from recast.runs.layout import use_name
 from recast.runs.rollouts import read_rollout
+from recast.runs.run_folder import use_name
 from recast.runs.sources import RECIPES
 from recast.scene import load_scene
 from recast.simulation import (

@@ -11,7 +11,7 @@ from recast.metrics.scene_level.scores import Networks
 from recast.studies.scene_level.request import LevelSettings
 from recast.studies.scene_level.scene import FEATURES, REFERENCES, REPLAY, LevelScene
 from recast.studies.scene_run import GridTask, RolloutTimes, SceneOutcome, SceneRun
-from recast.studies.worker import BenchWorker
+from recast.studies.schedule import BenchWorker
 
 
 @dataclass(frozen=True)

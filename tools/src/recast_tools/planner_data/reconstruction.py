@@ -23,7 +23,6 @@ from recast.geometry import se3
 from recast.reconstruction import SceneConfig
 from recast.runs.actor import ActorMakers
 from recast.runs.arms import OWN_STREET
-from recast.runs.layout import ACTOR_FOLDER, LOG_FOLDER
 from recast.runs.making import (
     Maker,
     VehicleParts,
@@ -32,6 +31,7 @@ from recast.runs.making import (
     register_vehicle,
     train_street,
 )
+from recast.runs.run_folder import ACTOR_FOLDER, LOG_FOLDER
 from recast.runs.sources import SourceLog, generator_source, segmenter_source
 from recast.scene import StreetScene, load_scene
 from recast.scene.render import SceneRasterizer
