@@ -40,7 +40,7 @@ from recast.recar import (
 )
 from recast.recar.ingest import IngestSettings, ingest_photographs, perceptual_hash
 from recast.recar.ingest.duplicates import BITS, Hashes, SeenPictures
-from recast.recar.set_records import view_file
+from recast.recar.vehicle_set import view_file
 from recast.recar.shards import pack_set, read_shards, stream_identities
 from recast.recar.shards.pack import plan_shards
 from recast.recar.synthesis import plan_identities

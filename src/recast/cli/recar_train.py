@@ -24,7 +24,7 @@ class RecarTrain:
     targets: Path
     """Cache of pseudo-targets, from `recast recar targets`."""
     set: Path
-    """Vehicle set with the images, in folders or shards; or a folder of training assets."""
+    """Vehicle set with the images, or a folder of training assets."""
     out: Path
     """Folder of the new model; the same command resumes."""
     stage: Annotated[

@@ -25,10 +25,8 @@ from recast.cameras import PinholeCamera
 from recast.core.errors import InputError
 from recast.geometry import se3
 from recast.recar import RealView, holds_real_crops, read_real_crops
-from recast.recar.set_records import SET_FILE
-from recast.recar.shards.layout import INDEX_FILE
-from recast.recar.shards.sharded_set import open_set
-from recast.recar.views import FOV_DEG, IdentitySource, VehicleSource, pinhole
+from recast.recar.vehicle_set import SET_FILE, Identity, read_set
+from recast.recar.views import FOV_DEG, pinhole
 
 Targets = Literal["set", "orbit"]
 """`set`: the cameras of the photographs; `orbit`: the paper's."""
@@ -92,7 +90,7 @@ def read_cases(
     azimuth 0, 90, 180 and 270 degrees, the input left out.
 
     Args:
-        folder: see `recast.recar.read_real_crops`; the set in folders or in shards.
+        folder: see `recast.recar.read_real_crops`, or `recast.recar.read_set`.
         limit: take only the first vehicles, sorted by id.
         views: number of inputs of a set's vehicle, at most.
 
@@ -106,8 +104,8 @@ def read_cases(
             raise InputError(option, "value", f"is {value}", "give 1 or more")
     if not folder.is_dir():
         raise InputError(folder, "set", "is not a folder", "check the path")
-    if any((folder / name).exists() for name in (SET_FILE, INDEX_FILE)):
-        vehicles: VehicleSource = open_set(folder)
+    if (folder / SET_FILE).exists():
+        vehicles = read_set(folder)
         held_out = list(vehicles.of_split("held-out"))[:limit]
         cases = [_case_of_identity(folder, identity, seed, views) for identity in held_out]
         if not cases:
@@ -117,7 +115,7 @@ def read_cases(
         raise InputError(
             folder,
             "set",
-            f"has no {SET_FILE}, no {INDEX_FILE} and no ID/input_views",
+            f"has no {SET_FILE} and no ID/input_views",
             "give a folder of vehicles; see docs/data.md#vehicle-sets",
         )
     return [
@@ -136,7 +134,7 @@ def _view_of_crop(view: RealView) -> ActorView:
     return ActorView(view.image.stem, view.rgba, view.camera, se3.inverse(view.actor_from_camera))
 
 
-def _case_of_identity(folder: Path, identity: IdentitySource, seed: int, views: int) -> ActorCase:
+def _case_of_identity(folder: Path, identity: Identity, seed: int, views: int) -> ActorCase:
     record, shared = identity.record, identity.set_record
     where = folder / record.id
     if record.size is None:
@@ -183,7 +181,7 @@ def _nearest(azimuths: tuple[float, ...], goal: float) -> int:
     return int(np.argmin(np.round([_apart(one, goal) for one in azimuths], 6)))
 
 
-def _view_of_set(where: Path, identity: IdentitySource, index: int) -> ActorView:
+def _view_of_set(where: Path, identity: Identity, index: int) -> ActorView:
     try:
         camera, actor_from_camera = identity.camera(index)
     except ValueError as error:

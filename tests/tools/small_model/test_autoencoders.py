@@ -10,6 +10,7 @@ import pytest
 import torch
 
 from recast.recar.training.assets import read_asset
+from recast_tools.small_model.asset_store import ChannelMoments
 from recast_tools.small_model.autoencoders import (
     dice_loss,
     side_colours,
@@ -128,3 +129,16 @@ def test_a_restart_changes_nothing(assets: Path, parts: dict[str, Path], tmp_pat
     recipe.train_latent(assets, tmp_path, 3, 0, _ignore)
     name = "ckpts/slat_dec_gs.safetensors"
     assert (tmp_path / name).read_bytes() == (parts["latent"] / name).read_bytes()
+
+
+def test_moments_are_those_of_all_values_together() -> None:
+    moments = ChannelMoments()
+    assert moments.statistics() is None
+    rng = np.random.default_rng(0)
+    parts = [rng.normal(1e4, 2.0, (count, 8)).astype(np.float32) for count in (1, 30, 7)]
+    for part in parts:
+        moments.add(part)
+    found, values = moments.statistics(), np.concatenate(parts).astype(np.float64)
+    assert found is not None
+    np.testing.assert_allclose(found.mean, values.mean(axis=0), rtol=1e-12)
+    np.testing.assert_allclose(found.std, values.std(axis=0), rtol=1e-9)

@@ -12,14 +12,14 @@ from recast.recar.statistics import SetStatistics
 from recast.recar.targets import TargetCache
 from recast.recar.targets.builder import TargetStatistics
 from recast.recar.turntable import TurntableFit
-from recast.recar.views import VehicleSource
+from recast.recar.vehicle_set import VehicleSet
 from recast.studies.actors import ActorEvaluation, TrackResult
 from recast.studies.generation.summary import STUDY_COLUMNS, StudyBlock
 from recast.trellis.checkpoints import ModelCheck
 
 
 def camera_rows(
-    vehicle_set: VehicleSource, fits: Mapping[str, TurntableFit | InputError]
+    vehicle_set: VehicleSet, fits: Mapping[str, TurntableFit | InputError]
 ) -> dict[str, list[dict[str, Any]]]:
     """Camera of each vehicle of a turntable; `centre` is the box centre's mean offset.
 
@@ -193,6 +193,8 @@ def set_rows(statistics: SetStatistics) -> Rows:
         "held_out": statistics.splits["held-out"],
         "pictures": statistics.pictures,
         "size_bytes": statistics.bytes,
+        "decided": statistics.decided,
+        "left_out": statistics.left_out,
     }
     sizes = statistics.sizes or ()
     return {

@@ -11,11 +11,11 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from recast.arrays import Image
 from recast.core import files
 from recast.core.errors import InputError
-from recast.core.records import Record
+from recast.core.records import Record, validated
 from recast.recar.vehicle_set import Identity
-from recast.recar.views import Image
 
 Hashes = NDArray[np.uint64]
 
@@ -151,3 +151,21 @@ def write_report(
         "doubts": {name: list(lines) for name, lines in sorted(doubts.items()) if lines},
     }
     files.write_json(out / REPORT_FILE, value)
+
+
+class _Report(Record):
+    skipped: tuple[dict[str, str], ...]
+    doubts: dict[str, tuple[str, ...]]
+
+
+def read_doubts(out: Path) -> dict[str, tuple[str, ...]] | None:
+    """The doubts in ingest.json by identity; None for a set without the file, such as renders.
+
+    Raises:
+        InputError: the file is broken.
+    """
+    path = out / REPORT_FILE
+    if not path.exists():
+        return None
+    mend = "run `recast recar ingest` again, or delete the file"
+    return validated(path, files.read_json(path), _Report, mend).doubts

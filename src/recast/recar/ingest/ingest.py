@@ -25,15 +25,19 @@ from recast.recar.ingest.folder import check_sizes, photographs_of
 from recast.recar.ingest.photograph import PhotographCandidate, PhotographMasker, Prepared, prepare
 from recast.recar.ingest.settings import LAYOUTS, IngestSettings, VehicleRow, find_table, read_table
 from recast.recar.ingest.walkaround import pick_photographs
-from recast.recar.set_records import IDENTITY_FILE, IdentityRecord, SetRecord, split_of, view_file
 from recast.recar.vehicle_set import (
+    IDENTITY_FILE,
     Identity,
+    IdentityRecord,
+    SetRecord,
     VehicleSet,
     begin_set,
     check_begin,
     finish_set,
     read_identities,
     read_set,
+    split_of,
+    view_file,
 )
 
 

@@ -11,13 +11,13 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from recast.arrays import Image
 from recast.core.errors import InputError
 from recast.core.images import decode_image, decode_mask, opened, rgb, rgba
 from recast.recar.ingest.duplicates import Hashes, first_twice, perceptual_hash
 from recast.recar.ingest.outlines import outline_doubts
 from recast.recar.ingest.settings import IngestSettings, VehicleRow
-from recast.recar.set_records import LARGEST_SIDE
-from recast.recar.views import Image, encode_picture
+from recast.recar.views import LARGEST_SIDE, encode_picture
 
 SUFFIXES = (".bmp", ".jpeg", ".jpg", ".png", ".tif", ".tiff", ".webp")
 MOST_PIXELS = LARGEST_SIDE**2

@@ -16,9 +16,8 @@ from recast.core import files
 from recast.core.errors import InputError
 from recast.core.records import Record, validation_error
 from recast.recar.ingest.duplicates import BITS, DUPLICATE_BITS
-from recast.recar.set_records import (
+from recast.recar.vehicle_set import (
     HELD_OUT_SHARE,
-    LARGEST_SIDE,
     MOST_VIEWS,
     IdentityName,
     Metres,
@@ -27,9 +26,12 @@ from recast.recar.set_records import (
     Text,
     regular_azimuths,
 )
+from recast.recar.views import LARGEST_SIDE
 
 MOST_BYTES = 1 << 26
 """Most bytes of a table."""
+OVERFLOW = "more cells than columns"
+"""Name of what a row has beyond the columns."""
 TABLES = ("vehicles.csv", "vehicles.json")
 _MEND = "correct it; see docs/recar.md#sets"
 
@@ -237,19 +239,38 @@ def find_table(photos: Path) -> Path:
 
 def _raw_rows(path: Path) -> list[tuple[str, dict[str, Any]]]:
     if path.suffix.lower() == ".json":
-        found = files.read_json(path)
-        if not isinstance(found, list) or not all(isinstance(row, dict) for row in found):
+        value = files.read_json(path)
+        if not isinstance(value, list) or not all(isinstance(row, dict) for row in value):
             raise InputError(path, "JSON", "is not a list of objects", _MEND)
-        return [(f"{path}: entry {place}", row) for place, row in enumerate(found, 1)]
+        return [(f"{path}: entry {place}", row) for place, row in enumerate(value, 1)]
+    heading, rows = csv_rows(path, _MEND)
+    if problem := _heading_fault(heading):
+        raise InputError(path, "heading", problem, _MEND)
+    found: list[tuple[str, dict[str, Any]]] = []
+    for where, cells in rows:
+        azimuths = cells.get("azimuths_deg")
+        found.append(
+            (where, cells if azimuths is None else cells | {"azimuths_deg": azimuths.split()})
+        )
+    return found
+
+
+def csv_rows(path: Path, mend: str) -> tuple[tuple[str, ...], list[tuple[str, dict[str, str]]]]:
+    """Names of the columns of a CSV file; and of each row its place, and cells that are not empty.
+
+    Commas or semicolons separate. Cells beyond the columns are under `OVERFLOW`.
+
+    Raises:
+        InputError: the file cannot be read, is not UTF-8 or no CSV.
+    """
     text = files.read_text(path, MOST_BYTES).removeprefix("\ufeff")
     first = text.partition("\n")[0]
     reader = csv.DictReader(io.StringIO(text, newline=""), delimiter=";" if ";" in first else ",")
     try:
-        if problem := _heading_fault(reader.fieldnames or ()):
-            raise InputError(path, "heading", problem, _MEND)
-        return [(f"{path}: line {reader.line_num}", _cells(row)) for row in reader]
+        heading = tuple(name.strip() for name in reader.fieldnames or ())
+        return heading, [(f"{path}: line {reader.line_num}", _cells(row)) for row in reader]
     except csv.Error as error:  # such as a cell of more than 131,072 characters
-        raise InputError(path, f"line {reader.line_num + 1}", str(error), _MEND) from None
+        raise InputError(path, f"line {reader.line_num + 1}", str(error), mend) from None
 
 
 def _heading_fault(names: Sequence[str]) -> str | None:
@@ -260,11 +281,9 @@ def _heading_fault(names: Sequence[str]) -> str | None:
     return "names a column twice" if len(set(names)) < len(names) else None
 
 
-def _cells(row: dict[str | None, Any]) -> dict[str, Any]:
-    cells = {name: value for name, value in row.items() if name is not None}
-    filled = {name: value.strip() for name, value in cells.items() if value and value.strip()}
+def _cells(row: dict[str | None, Any]) -> dict[str, str]:
+    named = {name.strip(): value for name, value in row.items() if name is not None}
+    filled = {name: value.strip() for name, value in named.items() if value and value.strip()}
     if None in row:
-        filled["more cells than columns"] = str(row[None])
-    if "azimuths_deg" in filled:
-        filled["azimuths_deg"] = filled["azimuths_deg"].split()
+        filled[OVERFLOW] = str(row[None])
     return filled

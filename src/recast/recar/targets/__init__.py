@@ -3,10 +3,11 @@
 from recast.recar.targets.builder import (
     TargetStatistics,
     build_targets,
+    screened_targets,
     target_statistics,
     target_table,
 )
-from recast.recar.targets.cache import ChannelStatistics, Target, TargetCache
+from recast.recar.targets.cache import Target, TargetCache
 from recast.recar.targets.cache_records import (
     CachedModelRecord,
     CacheRecord,
@@ -22,7 +23,6 @@ from recast.recar.targets.quality import Quality, QualityScore, TargetCandidate
 __all__ = [
     "CacheRecord",
     "CachedModelRecord",
-    "ChannelStatistics",
     "FilterRecord",
     "FilterSettings",
     "ModelSource",
@@ -36,6 +36,7 @@ __all__ = [
     "TargetStatistics",
     "build_targets",
     "identity_seed",
+    "screened_targets",
     "target_statistics",
     "target_table",
 ]

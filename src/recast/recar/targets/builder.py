@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Collection
+from collections.abc import Collection, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 from rich.box import SIMPLE_HEAD
 from rich.console import Group
@@ -16,20 +17,29 @@ from rich.text import Text
 
 from recast.core import files
 from recast.core.errors import InputError, printable
+from recast.core.images import decode_image, rgb
 from recast.core.progress import Progress, tell
 from recast.core.ray_cluster import worker_pool
 from recast.core.workers import in_this_process
-from recast.recar.set_records import SPLITS, first_difference
+from recast.recar.screening import PASSED, ScreenedVehicle
 from recast.recar.targets.cache import TargetCache
-from recast.recar.targets.cache_records import CACHE_FILE, CacheRecord, ModelSource, TargetSettings
+from recast.recar.targets.cache_records import (
+    CACHE_FILE,
+    CacheRecord,
+    ModelSource,
+    TargetRecord,
+    TargetSettings,
+)
 from recast.recar.targets.maker import VehicleTask, absolute, filter_record, start_maker
 from recast.recar.targets.views import encoded_view, nearest_views
-from recast.recar.views import VehicleSource
+from recast.recar.vehicle_set import SPLITS, VehicleSet, first_difference
 from recast.trellis.generation import TRAINED_VOXEL_SHARE
+
+_PREVIEW = (348, 261)  # pixels of a target's contact sheet on the sheets of the screening
 
 
 def build_targets(
-    vehicles: VehicleSource,
+    vehicles: VehicleSet,
     model: ModelSource,
     out: str | Path,
     settings: TargetSettings | None = None,
@@ -92,7 +102,7 @@ def build_targets(
     return TargetCache.open(out)
 
 
-def _wanted(vehicles: VehicleSource, identities: Collection[str] | None) -> list[str]:
+def _wanted(vehicles: VehicleSet, identities: Collection[str] | None) -> list[str]:
     if identities is None:
         return list(vehicles.identities)
     if unknown := sorted(set(identities) - vehicles.identities.keys()):
@@ -103,7 +113,7 @@ def _wanted(vehicles: VehicleSource, identities: Collection[str] | None) -> list
 
 
 def _cache_record(
-    vehicles: VehicleSource, views: tuple[int, ...], model: ModelSource, settings: TargetSettings
+    vehicles: VehicleSet, views: tuple[int, ...], model: ModelSource, settings: TargetSettings
 ) -> CacheRecord:
     made_by, pipeline = model.record(), model.pipeline()
     front, rear, left, right = (vehicles.record.azimuths_deg[index] for index in views)
@@ -159,7 +169,7 @@ def _write_record(cache: TargetCache, record: CacheRecord) -> None:
         cache.record = record
 
 
-def _task(vehicles: VehicleSource, name: str, views: tuple[int, ...]) -> VehicleTask:
+def _task(vehicles: VehicleSet, name: str, views: tuple[int, ...]) -> VehicleTask:
     identity = vehicles.identities[name]
     own = identity.record
     encoded = []
@@ -200,9 +210,9 @@ class TargetStatistics:
 
 
 def target_statistics(cache: TargetCache) -> TargetStatistics:
-    """Count targets; see `TargetCache.statistics` for the values of their latents."""
+    """Count targets."""
     made, accepted = cache.ids(accepted_only=False), cache.ids()
-    rejected = sum(cache.decisions.get(one) == "reject" for one in made)
+    rejected = sum(cache.decisions.get(one) == "no" for one in made)
     splits = Counter(cache.records[one].split for one in accepted)
     voxels = [cache.records[one].voxels for one in accepted]
     failures = Counter(one.failure for one in cache.records.values() if one.failure is not None)
@@ -212,17 +222,50 @@ def target_statistics(cache: TargetCache) -> TargetStatistics:
         rejected=rejected,
         below=len(made) - rejected - len(accepted),
         accepted={split: splits[split] for split in SPLITS},
-        doubtful=sum(_rear_to_front(cache, one) for one in made),
+        doubtful=sum(
+            _rear_to_front(cache.records[one]) for one in made if one not in cache.decisions
+        ),
         voxels=(min(voxels), int(np.median(voxels)), max(voxels)) if voxels else (0, 0, 0),
         scores=tuple(sorted(r.score for r in cache.records.values() if r.score is not None)),
     )
 
 
-def _rear_to_front(cache: TargetCache, identity: str) -> bool:
-    record = cache.records[identity]
-    if identity in cache.decisions or record.score is None or record.score_flipped is None:
+def _rear_to_front(record: TargetRecord) -> bool:
+    if record.score is None or record.score_flipped is None:
         return False
     return record.score_flipped > record.score
+
+
+def screened_targets(cache: TargetCache) -> Iterator[ScreenedVehicle]:
+    """The targets of a cache by their contact sheets, with what the quality filter says of them.
+
+    Raises:
+        InputError: a contact sheet is broken.
+    """
+    threshold = cache.record.filter.threshold
+    for name in cache.ids(accepted_only=False):
+        one = cache.records[name]
+        doubts = []
+        if threshold is not None and (one.score is None or one.score < threshold):
+            doubts.append(f"score below the threshold {threshold:g}")
+        if _rear_to_front(one):
+            doubts.append("agrees better with front and rear exchanged")
+        path = cache.preview_path(name)
+        picture = rgb(decode_image(path, path, what="contact sheet", mend="make the target again"))
+        yield ScreenedVehicle(
+            name,
+            {
+                "kind": one.kind,
+                "colour": one.colour,
+                "split": one.split,
+                "voxels": one.voxels,
+                "score": one.score,
+                "score_flipped": one.score_flipped,
+                "heading_deg": one.heading_deg,
+            },
+            "; ".join(doubts) or PASSED,
+            np.asarray(cv2.resize(picture, _PREVIEW, interpolation=cv2.INTER_AREA), np.uint8),
+        )
 
 
 def target_table(cache: TargetCache, statistics: TargetStatistics) -> Group:

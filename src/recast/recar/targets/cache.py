@@ -5,7 +5,7 @@ CACHE/ss_latents/MODEL/ID.npz     mean (C, r, r, r) float32
 CACHE/latents/MODEL/ID.npz        feats (T, C) float32, coords (T, 3) uint8
 CACHE/previews/ID.png             contact sheet for people
 CACHE/records/ID.json             written last
-CACHE/screening.json              decisions of a person, if any: `recast.recar.screening`
+CACHE/screening.csv               decisions of a person, if any: `recast.recar.screening`
 """
 
 from __future__ import annotations
@@ -16,11 +16,10 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from recast.arrays import Array
 from recast.core import files
 from recast.core.errors import InputError
 from recast.core.records import read_record
-from recast.recar.set_records import Split
+from recast.recar.screening import Decision, read_decisions
 from recast.recar.targets.cache_records import (
     CACHE_FILE,
     CACHE_FORMAT,
@@ -31,7 +30,7 @@ from recast.recar.targets.cache_records import (
     CacheRecord,
     TargetRecord,
 )
-from recast.recar.targets.decisions import Decision, Screening
+from recast.recar.vehicle_set import Split
 from recast.recar.views import write_arrays
 from recast.tables import read_npz
 
@@ -39,42 +38,6 @@ _MOST_BYTES = 1 << 28  # most of the arrays of a target; published ones have 2 M
 STRUCTURES = "ss_latents"
 LATENTS = "latents"
 _REMAKE = "make the target again: remove its record and run the command that made it"
-
-
-@dataclass(frozen=True)
-class ChannelStatistics:
-    """Mean and standard deviation by channel, float64 (C,), over all values of all targets."""
-
-    mean: Array
-    std: Array
-
-
-class ChannelMoments:
-    """Adds up values, without losing digits to a large mean (Chan et al. 1979)."""
-
-    def __init__(self) -> None:
-        self._count = 0
-        self._mean: Array = np.zeros(0)
-        self._squares: Array = np.zeros(0)
-
-    def add(self, values: NDArray[np.float32]) -> None:
-        """Add values (N, C) with N >= 1."""
-        block = values.astype(np.float64)
-        count, mean = len(block), block.mean(axis=0)
-        squares = np.square(block - mean).sum(axis=0)
-        if self._count == 0:
-            self._count, self._mean, self._squares = count, mean, squares
-            return
-        total, delta = self._count + count, mean - self._mean
-        self._squares = self._squares + squares + delta**2 * self._count * count / total
-        self._mean = self._mean + delta * count / total
-        self._count = total
-
-    def statistics(self) -> ChannelStatistics | None:
-        """Over all values, dividing by their number; None where there are none."""
-        if self._count == 0:
-            return None
-        return ChannelStatistics(self._mean, np.sqrt(self._squares / self._count))
 
 
 @dataclass(frozen=True)
@@ -143,7 +106,7 @@ class TargetCache:
             complete: whether to refuse one in the making.
 
         Raises:
-            InputError: no such cache, one in the making, or a JSON file that is wrong.
+            InputError: no such cache, one in the making, or a file of it that is wrong.
         """
         folder = Path(folder)
         if not folder.is_dir():
@@ -164,7 +127,7 @@ class TargetCache:
                 f"{len(records)}, but cache.json counts {record.identities}",
                 "make the targets again",
             )
-        decisions = dict(Screening(folder).decisions)
+        decisions = read_decisions(folder, records)
         return cls(folder, record, dict(sorted(records.items())), decisions)
 
     def ids(self, split: Split | None = None, accepted_only: bool = True) -> tuple[str, ...]:
@@ -186,7 +149,7 @@ class TargetCache:
     def accepted(self, identity: str) -> bool:
         """Whether a target is used: neither rejected nor below the threshold."""
         record = self.records[identity]
-        if record.failure is not None or self.decisions.get(identity) == "reject":
+        if record.failure is not None or self.decisions.get(identity) == "no":
             return False
         threshold, score = self.record.filter.threshold, record.score
         return threshold is None or (score is not None and score >= threshold)
@@ -252,27 +215,6 @@ class TargetCache:
         path = self.folder / RECORDS / f"{record.id}.json"
         files.write_json(path, record.model_dump(mode="json"))
         self.records[record.id] = record
-
-    def statistics(self) -> tuple[ChannelStatistics, ChannelStatistics]:
-        """Channels of the structure latents and of the structured latents, of accepted targets.
-
-        Raises:
-            InputError: there is no accepted target, or one cannot be read.
-        """
-        structure, latent = ChannelMoments(), ChannelMoments()
-        for identity in self.ids():
-            target = self.target(identity)
-            structure.add(target.structure.reshape(len(target.structure), -1).T)
-            latent.add(target.latent)
-        found = structure.statistics(), latent.statistics()
-        if found[0] is None or found[1] is None:
-            raise InputError(
-                self.folder,
-                "targets",
-                "none is accepted",
-                "lower the threshold, or make more targets",
-            )
-        return found[0], found[1]
 
     def preview_path(self, identity: str) -> Path:
         """Where the contact sheet of a vehicle lies."""

@@ -11,7 +11,7 @@ from typing import Annotated, Any, Literal
 from pydantic import Field, FiniteFloat
 
 from recast.core.records import Record
-from recast.recar.set_records import IdentityName, Split, Text
+from recast.recar.vehicle_set import IdentityName, Split, Text
 from recast.trellis import ImageTo3D, MultiImageMode, SamplerSettings
 from recast.trellis.checkpoints import GENERATION_ROLES, PipelineRecord, read_pipeline
 from recast.trellis.checkpoints.load import BACKBONE_FOLDER

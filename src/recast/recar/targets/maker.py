@@ -9,9 +9,9 @@ from pathlib import Path
 import numpy as np
 import torch
 
+from recast.arrays import Image
 from recast.core.errors import InputError
 from recast.logs.images import encode
-from recast.recar.set_records import Split
 from recast.recar.targets.cache import Target
 from recast.recar.targets.cache_records import (
     FilterRecord,
@@ -38,7 +38,8 @@ from recast.recar.targets.views import (
     resized,
     turned,
 )
-from recast.recar.views import Image, write_words
+from recast.recar.vehicle_set import Split
+from recast.recar.views import write_words
 from recast.splats import Gaussians
 from recast.trellis import GeneratedVehicle, GenerationLimits, ImageTo3D, generate
 

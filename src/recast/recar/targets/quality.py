@@ -16,7 +16,7 @@ from PIL import Image as PilImage
 from scipy import ndimage
 from torch import Tensor, nn
 
-from recast.arrays import Mask
+from recast.arrays import Image, Mask
 from recast.core.errors import InputError
 from recast.core.files import read_json
 from recast.core.torch_file import read_tensors
@@ -33,7 +33,6 @@ from recast.recar.targets.views import (
     render,
     turned,
 )
-from recast.recar.views import Image
 from recast.splats import Gaussians
 
 PIXELS = 96

@@ -12,19 +12,12 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
+from recast.arrays import Image
 from recast.core.errors import InputError
 from recast.geometry import se3
-from recast.recar.set_records import SetRecord
 from recast.recar.targets.cache_records import VIEWS_DEG
-from recast.recar.views import (
-    ELEVATION_DEG,
-    FOV_DEG,
-    IdentitySource,
-    Image,
-    camera_pose,
-    decode_picture,
-    pinhole,
-)
+from recast.recar.vehicle_set import Identity, SetRecord
+from recast.recar.views import ELEVATION_DEG, FOV_DEG, camera_pose, decode_picture, pinhole
 from recast.splats import MIP, Gaussians, rasterize
 
 FARTHEST_DEG = 22.5
@@ -105,7 +98,7 @@ class EncodedView:
         return decode_picture(self.png, self.name, self.width, self.height)
 
 
-def encoded_view(identity: IdentitySource, index: int) -> EncodedView:
+def encoded_view(identity: Identity, index: int) -> EncodedView:
     """A view of a vehicle with its viewpoint; what the set did not measure is as by default.
 
     Raises:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
 from functools import lru_cache
 from pathlib import Path
@@ -13,12 +13,11 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from recast.arrays import Image
 from recast.core.errors import InputError
-from recast.recar.set_records import SET_FILE, Split
-from recast.recar.shards.layout import INDEX_FILE
-from recast.recar.shards.sharded_set import open_set
+from recast.recar.screening import read_decisions
 from recast.recar.training.assets import TrainingAsset, read_asset
-from recast.recar.views import IdentitySource, Image
+from recast.recar.vehicle_set import SET_FILE, Split, VehicleSet, read_set
 from recast.trellis.conditioning import ImageEncoder, crop_to_object, images_from_crops
 
 _ASSETS_KEPT = 1024  # whose crops are decoded at a time, half a megabyte each
@@ -43,19 +42,23 @@ class ConditionSource(Protocol):
 
 
 class SetConditions:
-    """The views of a vehicle set's identities, in folders or in shards.
+    """The views of a vehicle set.
 
-    Args:
-        identities: identities of the set, by id.
+    Attributes:
+        decisions: decisions of a person about its identities, see `recast.recar.screening`.
+
+    Raises:
+        InputError: screening.csv is wrong.
     """
 
-    def __init__(self, identities: Mapping[str, IdentitySource]) -> None:
-        self._identities = dict(identities)
+    def __init__(self, vehicle_set: VehicleSet) -> None:
+        self._identities = vehicle_set.identities
+        self.decisions = read_decisions(vehicle_set.folder, vehicle_set.identities)
 
     @property
     def ids(self) -> tuple[str, ...]:
         """Identities, sorted."""
-        return tuple(sorted(self._identities))
+        return tuple(self._identities)
 
     def split(self, identity: str) -> Split:
         """Whether the set lets it be trained on."""
@@ -106,19 +109,19 @@ def _crops(asset: TrainingAsset) -> NDArray[np.uint8]:
 
 
 def open_conditions(folder: Path) -> ConditionSource:
-    """The pictures in a folder: a vehicle set, in folders or in shards, or assets `*.npz`.
+    """The pictures in a folder: a vehicle set, or assets `*.npz`.
 
     Raises:
         InputError: neither is there, or the set is at fault.
     """
-    if any((folder / name).is_file() for name in (SET_FILE, INDEX_FILE)):
-        return SetConditions(open_set(folder).identities)
+    if (folder / SET_FILE).is_file():
+        return SetConditions(read_set(folder))
     paths = sorted(folder.glob("[!.]*.npz"))
     if not paths:
         raise InputError(
             folder,
             "pictures",
-            f"the folder contains no {SET_FILE}, {INDEX_FILE} or assets (*.npz)",
+            f"the folder contains no {SET_FILE} or assets (*.npz)",
             "give a vehicle set, or a folder of training assets",
         )
     return AssetConditions(paths)

@@ -88,8 +88,9 @@ class StageInputs(Record):
         config: configuration of the stage.
         model, targets, pictures: names of the folders, for people.
         model_sha256: SHA-256 of `pipeline.json` and all model files.
-        targets_sha256: SHA-256 of `cache.json`, all records and the decisions of a person.
-        pictures_sha256: SHA-256 of the records of a set or of its shards, or of all assets.
+        targets_sha256: SHA-256 of `cache.json`, all records and the ids that a person left out.
+        pictures_sha256: SHA-256 of the records of a set and the ids that a person left out, or
+            of all assets.
         train, held_out: number of vehicles that were used, for training and held out.
     """
 

@@ -12,20 +12,14 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
+from recast.arrays import Image
 from recast.core.errors import InputError
 from recast.core.files import write_bytes
 from recast.geometry import se3
 from recast.logs.images import encode
 from recast.recar.targets import TargetCache
 from recast.recar.training.conditions import ConditionTokens, ConditionView
-from recast.recar.views import (
-    ELEVATION_DEG,
-    FOV_DEG,
-    Image,
-    camera_pose,
-    pinhole,
-    write_words,
-)
+from recast.recar.views import ELEVATION_DEG, FOV_DEG, camera_pose, pinhole, write_words
 from recast.splats import Gaussians, rasterize
 from recast.training.state import TrainingState
 from recast.trellis import GenerationLimits, ImageTo3D, generate

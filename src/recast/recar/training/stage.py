@@ -11,6 +11,7 @@ import torch
 from rich.console import Console
 from torch import nn
 
+from recast.arrays import Image
 from recast.core.errors import InputError
 from recast.recar.perturb import PerturbationConfig, perturb
 from recast.recar.training.conditions import ConditionTokens, Perturb
@@ -24,7 +25,6 @@ from recast.recar.training.output import (
 from recast.recar.training.sheets import StageSheets
 from recast.recar.training.stage_config import FlowName
 from recast.recar.training.stage_parts import StageParts, StageRequest, open_stage
-from recast.recar.views import Image
 from recast.training.loop import Processes, train
 from recast.training.progress import TrainingBar, tensorboard_writer
 from recast.training.state import TrainingState, steps_done

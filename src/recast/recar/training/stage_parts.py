@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import hashlib
+from collections.abc import Sequence, Set
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -10,8 +11,6 @@ from typing import Any
 import torch
 
 from recast.core.errors import InputError
-from recast.recar.set_records import SET_FILE
-from recast.recar.shards.layout import INDEX_FILE
 from recast.recar.targets import TargetCache
 from recast.recar.training.conditions import (
     ConditionSource,
@@ -21,6 +20,7 @@ from recast.recar.training.conditions import (
 )
 from recast.recar.training.output import StageInputs, hash_files, model_paths
 from recast.recar.training.stage_config import FlowName, StageConfig
+from recast.recar.vehicle_set import SET_FILE
 from recast.training.loop import Processes
 from recast.trellis import ImageTo3D
 
@@ -102,6 +102,10 @@ def open_stage(request: StageRequest, processes: Processes) -> StageParts:
     targets = TargetCache.open(request.targets)
     pictures = open_conditions(request.pictures)
     train, held_out = targets.ids("train"), targets.ids("held-out")
+    decisions = pictures.decisions if isinstance(pictures, SetConditions) else {}
+    left_out = {name for name, decision in decisions.items() if decision == "no"}
+    train = tuple(one for one in train if one not in left_out)
+    held_out = tuple(one for one in held_out if one not in left_out)
     _check_pictures(request, pictures, train, held_out)
     device = processes.device or request.device
     model = ImageTo3D.load(
@@ -123,15 +127,15 @@ def open_stage(request: StageRequest, processes: Processes) -> StageParts:
         model=request.model.resolve().name,
         model_sha256=hash_files(request.model, model_paths(request.model, model.checkpoint.record)),
         targets=request.targets.resolve().name,
-        targets_sha256=hash_files(request.targets, _target_files(request.targets)),
+        targets_sha256=_targets_hash(targets),
         pictures=request.pictures.resolve().name,
-        pictures_sha256=_pictures_hash(request.pictures),
+        pictures_sha256=_pictures_hash(request.pictures, left_out),
         train=len(train),
         held_out=len(held_out),
     )
     unscreened = None
     if isinstance(pictures, SetConditions):
-        unscreened = sum(one not in targets.decisions for one in train)
+        unscreened = sum(one not in {**targets.decisions, **decisions} for one in train)
     return StageParts(model, targets, pictures, train, held_out, unscreened, inputs)
 
 
@@ -183,16 +187,28 @@ def _check_sizes(
             )
 
 
-def _target_files(folder: Path) -> list[Path]:
-    """What says which targets there are; latents follow from it."""
-    return [*folder.glob("*.json"), *folder.glob("records/[!.]*.json")]
+def _targets_hash(targets: TargetCache) -> str:
+    """Of what says which targets there are; latents follow from it."""
+    folder = targets.folder
+    files = [*folder.glob("*.json"), *folder.glob("records/[!.]*.json")]
+    left_out = {name for name, decision in targets.decisions.items() if decision == "no"}
+    return _with_names(hash_files(folder, files), left_out)
 
 
-def _pictures_hash(folder: Path) -> str:
-    """Of the records of a set or of its shards; assets, which have none, are read whole."""
-    records = [folder / SET_FILE, folder / INDEX_FILE, *folder.glob("[!.]*/identity.json")]
+def _pictures_hash(folder: Path, left_out: Set[str]) -> str:
+    """Of the records of a set; assets, which have none, are read whole."""
+    records = [folder / SET_FILE, *folder.glob("[!.]*/identity.json")]
     found = [path for path in records if path.is_file()]
-    return hash_files(folder, found or folder.glob("[!.]*.npz"))
+    return _with_names(hash_files(folder, found or folder.glob("[!.]*.npz")), left_out)
+
+
+def _with_names(digest: str, left_out: Set[str]) -> str:
+    # Of the decisions only: notes may be written into screening.csv while a stage is in training.
+    return (
+        hashlib.sha256(" ".join([digest, *sorted(left_out)]).encode()).hexdigest()
+        if left_out
+        else digest
+    )
 
 
 def _listed(names: Sequence[str]) -> str:

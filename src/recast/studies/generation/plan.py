@@ -15,6 +15,7 @@ import numpy as np
 from PIL import Image as PilImage
 
 from recast.actors.vehicle_files import VEHICLE_SUFFIXES
+from recast.arrays import Image
 from recast.core.artefact import file_hash, folder_hash, value_hash
 from recast.core.files import atomic_folder, write_json
 from recast.core.names import folder_name
@@ -29,7 +30,6 @@ from recast.metrics.cases import (
 from recast.metrics.pairs import SAMPLES
 from recast.metrics.table import rounded
 from recast.recar.perturb import PerturbationConfig
-from recast.recar.views import Image
 from recast.studies.generation.cell import Placement
 from recast.studies.generation.maker import CellTask, Measures, perturbed_input
 from recast.studies.generation.rows import (
