@@ -218,7 +218,8 @@ def _cell(number: int, one: ScreenedVehicle, decision: Decision | None) -> Image
     write_words(cell, printable("  ".join(labels) + kept)[:letters], (4, 14), 0.4, _INK)
     if one.verdict != PASSED:
         write_words(cell, printable(one.verdict)[:letters], (4, 30), 0.38, _RED)
-    cell[_CAPTION : _CAPTION + height, 4 : 4 + width] = one.picture
+    shown = one.picture if decision != "no" else one.picture // 3 + 170  # faded
+    cell[_CAPTION : _CAPTION + height, 4 : 4 + width] = shown
     return cell
 
 

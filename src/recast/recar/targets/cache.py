@@ -164,8 +164,9 @@ class TargetCache:
         if identity not in self.records or self.records[identity].failure is not None:
             raise KeyError(identity)
         structure_path, latent_path = self._paths(identity)
-        structure = read_npz(structure_path, _REMAKE, ("mean",), _MOST_BYTES)["mean"]
-        latent = read_npz(latent_path, _REMAKE, ("feats", "coords"), _MOST_BYTES)
+        with files.disk_errors(structure_path):
+            structure = read_npz(structure_path, _REMAKE, ("mean",), _MOST_BYTES)["mean"]
+            latent = read_npz(latent_path, _REMAKE, ("feats", "coords"), _MOST_BYTES)
         model = self.record.model
         try:
             target = Target(
