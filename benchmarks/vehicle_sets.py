@@ -37,8 +37,9 @@ from recast.recar import (
     split_of,
     synthesize_set,
 )
-from recast.recar.ingest import IngestSettings, ingest_photographs, perceptual_hash
-from recast.recar.ingest.duplicates import BITS, Hashes, SeenPictures
+from recast.recar.ingest import ingest_photographs
+from recast.recar.ingest_photograph import Hashes, SeenPictures, perceptual_hash
+from recast.recar.ingest_table import BITS, IngestSettings
 from recast.recar.screening import screened_vehicles, write_screening
 from recast.recar.synthesis import plan_identities
 from recast.recar.vehicle_set import view_file

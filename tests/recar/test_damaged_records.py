@@ -13,12 +13,11 @@ from safetensors.torch import load_file, save_file
 from recast.core import files
 from recast.core.errors import InputError
 from recast.recar import read_real_crops, read_set
-from recast.recar.ingest.duplicates import read_doubts
-from recast.recar.ingest.settings import read_table
+from recast.recar.ingest import read_doubts
+from recast.recar.ingest_table import read_table
 from recast.recar.perturb import read_perturbations
-from recast.recar.targets import TargetCache
-from recast.recar.training.output import read_training_record
-from recast.recar.training.stage_config import read_stage_config
+from recast.recar.target_cache import TargetCache
+from recast.recar.training_config import read_stage_config, read_training_record
 from recast.training.loop import train
 from recast.training.state import STATE_FILE, steps_done
 from recast.training.task import read_log_lines

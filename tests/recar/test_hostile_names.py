@@ -19,7 +19,7 @@ from recast.core.errors import InputError
 from recast.recar import read_set, set_statistics, statistics_table
 from recast.recar.screening import read_decisions, screened_vehicles, write_screening
 from recast.recar.statistics import write_overview
-from recast.recar.targets import TargetCache
+from recast.recar.target_cache import TargetCache
 from support.target_caches import write_cache
 
 from .photographs import VIEWS, write_photos

@@ -15,7 +15,8 @@ from recast.core.files import read_json, write_json
 from recast.recar import VehicleSet, read_set, set_statistics
 from recast.recar.screening import read_decisions, screened_vehicles, write_screening
 from recast.recar.statistics import swatch, write_overview
-from recast.recar.targets import TargetCache, screened_targets
+from recast.recar.target_cache import TargetCache
+from recast.recar.targets import screened_targets
 from support.target_caches import write_cache
 from support.tiny_stage import tiny_config
 from support.trellis_folder import write_golden_model

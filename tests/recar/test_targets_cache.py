@@ -8,12 +8,8 @@ import numpy as np
 import pytest
 
 from recast.core.errors import InputError
-from recast.recar.targets import (
-    Target,
-    TargetCache,
-    TargetRecord,
-    target_statistics,
-)
+from recast.recar.target_cache import Target, TargetCache, TargetRecord
+from recast.recar.targets import target_statistics
 from recast.recar.views import write_arrays
 from support.target_caches import box_target, write_cache
 

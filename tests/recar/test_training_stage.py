@@ -16,10 +16,9 @@ from safetensors.torch import load_file
 
 from recast.core.errors import InputError
 from recast.core.files import read_json, write_json
-from recast.recar.targets import TargetCache
-from recast.recar.training.output import read_training_record
-from recast.recar.training.stage import train_stage
-from recast.recar.training.stage_parts import StageRequest
+from recast.recar.target_cache import TargetCache
+from recast.recar.training import StageRequest, train_stage
+from recast.recar.training_config import read_training_record
 from recast.trellis import ImageTo3D, verify_checkpoint
 from recast.trellis.checkpoints import first_fault
 from support.tiny_stage import TinyStage, write_tiny_stage

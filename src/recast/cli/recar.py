@@ -75,14 +75,8 @@ class RecarTargets:
 
         from recast.core.errors import require_range
         from recast.core.progress import ProgressBar
-        from recast.recar.targets import (
-            FilterSettings,
-            ModelSource,
-            TargetSettings,
-            build_targets,
-            target_statistics,
-            target_table,
-        )
+        from recast.recar.target_maker import FilterSettings, ModelSource, TargetSettings
+        from recast.recar.targets import build_targets, target_statistics, target_table
         from recast.recar.vehicle_set import read_set
         from recast.trellis.checkpoints import read_pipeline
         from recast.weights import located

@@ -70,7 +70,8 @@ class Ingest:
         from recast.actors.cutout import remover_of
         from recast.core.errors import InputError, printable
         from recast.core.progress import ProgressBar
-        from recast.recar.ingest import EXPERIMENTAL, IngestSettings, ingest_photographs
+        from recast.recar.ingest import ingest_photographs
+        from recast.recar.ingest_table import EXPERIMENTAL, IngestSettings
 
         settings = IngestSettings(
             self.licence,
@@ -198,8 +199,8 @@ class Perturb:
             PerturbationConfig,
             read_perturbations,
             write_perturbations,
+            write_sheet,
         )
-        from recast.recar.perturb.compose import write_sheet
         from recast.trellis import read_crop
 
         config = PerturbationConfig() if self.config is None else read_perturbations(self.config)
@@ -227,8 +228,8 @@ class Screen:
         from recast.core.progress import ProgressBar
         from recast.recar import read_set
         from recast.recar.screening import SCREENING_FILE, screened_vehicles, write_screening
-        from recast.recar.targets import TargetCache, screened_targets
-        from recast.recar.targets.cache_records import CACHE_FILE
+        from recast.recar.target_cache import CACHE_FILE, TargetCache
+        from recast.recar.targets import screened_targets
 
         console = console_for(False)
         if (self.set / CACHE_FILE).is_file():

@@ -23,8 +23,8 @@ from recast.core.errors import InputError, printable
 from recast.core.files import disk_errors
 from recast.core.progress import Progress, tell
 from recast.logs.images import encode
-from recast.recar.ingest.duplicates import read_doubts
-from recast.recar.ingest.settings import OVERFLOW, csv_rows
+from recast.recar.ingest import read_doubts
+from recast.recar.ingest_table import OVERFLOW, csv_rows
 from recast.recar.vehicle_set import VehicleSet
 from recast.recar.views import over_panel, shrunk, write_words
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import torch
 
-from recast.recar.training.assets import read_asset
+from recast.recar.training_conditions import read_asset
 from recast_tools.small_model.asset_store import ChannelMoments
 from recast_tools.small_model.autoencoders import (
     dice_loss,
@@ -91,7 +91,7 @@ def test_sides_have_the_colour_of_what_faces_them(assets: Path) -> None:
 def test_parts_become_a_model_and_its_targets(
     assets: Path, parts: dict[str, Path], tmp_path: Path
 ) -> None:
-    from recast.recar.targets import TargetCache
+    from recast.recar.target_cache import TargetCache
     from recast.trellis import ImageTo3D
     from recast.trellis.checkpoints import first_fault, verify_checkpoint
     from recast_tools.small_model.assemble import assemble

@@ -9,8 +9,8 @@ from recast.actors.actor import CandidateRecord
 from recast.cli.output import Rows, with_unit
 from recast.core.errors import InputError
 from recast.recar.statistics import SetStatistics
-from recast.recar.targets import TargetCache
-from recast.recar.targets.builder import TargetStatistics
+from recast.recar.target_cache import TargetCache
+from recast.recar.targets import TargetStatistics
 from recast.recar.turntable import TurntableFit
 from recast.recar.vehicle_set import VehicleSet
 from recast.studies.actors import ActorEvaluation, TrackResult

@@ -13,7 +13,7 @@ from torch import Tensor
 
 from recast.arrays import Array
 from recast.core.errors import InputError
-from recast.recar.training.assets import FEATURES, TrainingAsset, read_asset
+from recast.recar.training_conditions import FEATURES, TrainingAsset, read_asset
 from recast.trellis.sparse import SparseTensor
 
 _KEPT = 64  # assets decoded at a time, 1.6 MB each

@@ -10,7 +10,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn.functional import avg_pool2d, binary_cross_entropy_with_logits
 
-from recast.recar.training.assets import TrainingAsset
+from recast.recar.training_conditions import TrainingAsset
 from recast.scene.scores import ssim_map
 from recast.splats import MIP, Gaussians, Rasterization, rasterize
 from recast.training.task import StepLoss, StepRandom

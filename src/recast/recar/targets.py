@@ -1,4 +1,4 @@
-"""Pseudo-targets of a vehicle set, made once and cached; and what is in a cache, in figures."""
+"""Pseudo-targets of a vehicle set: made from four views, once, and cached; and their figures."""
 
 from __future__ import annotations
 
@@ -22,16 +22,16 @@ from recast.core.progress import Progress, tell
 from recast.core.ray_cluster import worker_pool
 from recast.core.workers import in_this_process
 from recast.recar.screening import PASSED, ScreenedVehicle
-from recast.recar.targets.cache import TargetCache
-from recast.recar.targets.cache_records import (
-    CACHE_FILE,
-    CacheRecord,
+from recast.recar.target_cache import CACHE_FILE, CacheRecord, TargetCache, TargetRecord
+from recast.recar.target_maker import (
     ModelSource,
-    TargetRecord,
     TargetSettings,
+    VehicleTask,
+    absolute,
+    filter_record,
+    start_maker,
 )
-from recast.recar.targets.maker import VehicleTask, absolute, filter_record, start_maker
-from recast.recar.targets.views import encoded_view, nearest_views
+from recast.recar.target_views import encoded_view, nearest_views
 from recast.recar.vehicle_set import SPLITS, VehicleSet, first_difference
 from recast.trellis.generation import TRAINED_VOXEL_SHARE
 

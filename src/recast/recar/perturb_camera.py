@@ -12,7 +12,7 @@ from pydantic import Field
 
 from recast.arrays import Image
 from recast.geometry.colour import linear_to_srgb, srgb_to_linear
-from recast.recar.perturb.kind import (
+from recast.recar.perturb_kind import (
     Floats,
     ObjectBox,
     PerturbationKind,

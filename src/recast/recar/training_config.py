@@ -1,16 +1,18 @@
-"""How the flows are trained in one stage: every figure, those of the paper, and files of them."""
+"""How the flows are trained in one stage, those of the paper among them; and training.json."""
 
 from __future__ import annotations
 
+import platform
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Literal, Self
 
-from pydantic import Field, FiniteFloat, ValidationError, model_validator
+import torch
+from pydantic import ConfigDict, Field, FiniteFloat, ValidationError, model_validator
 
 from recast.core.errors import InputError
-from recast.core.files import read_json
-from recast.core.records import Record, validation_error
+from recast.core.files import read_json, write_json
+from recast.core.records import Record, read_record, validation_error
 from recast.recar.perturb import PerturbationConfig
 from recast.training.task import TrainerSettings, overridden
 
@@ -204,3 +206,124 @@ def chosen_stage(stage: str | None, file: Path | None) -> StageConfig:
     if file is not None:
         return read_stage_config(file)
     return COMMAND_NAMES[str(stage)]
+
+
+RECORD_FILE = "training.json"
+_FORMAT = "recast-training"
+_VERSION = 1
+_MEND_OUT = "choose another output folder"
+
+
+class FlowRecord(Record):
+    """One flow of a stage.
+
+    Attributes:
+        steps: number of steps done.
+        parameters: number of trained parameters.
+        seconds: seconds of wall time over all log lines, evaluation and sheets included.
+        last: means of the last log line.
+    """
+
+    steps: int
+    parameters: int
+    seconds: float
+    last: dict[str, float]
+
+
+class StageInputs(Record):
+    """What a stage was trained from; a resumed one must be from the same.
+
+    Attributes:
+        config: configuration of the stage.
+        model, targets, pictures: names of the folders, for people.
+        model_sha256: SHA-256 of `pipeline.json` and all model files.
+        targets_sha256: SHA-256 of `cache.json`, all records and the ids that a person left out.
+        pictures_sha256: SHA-256 of the records of a set and the ids that a person left out, or
+            of all assets.
+        train, held_out: number of vehicles that were used, for training and held out.
+    """
+
+    model_config = ConfigDict(protected_namespaces=())
+
+    config: StageConfig
+    model: str
+    model_sha256: str
+    targets: str
+    targets_sha256: str
+    pictures: str
+    pictures_sha256: str
+    train: int
+    held_out: int
+
+
+class TrainingRecord(Record):
+    """Contents of training.json.
+
+    Attributes:
+        complete: False while the stage is in training.
+        inputs: what it was trained from.
+        weights: kind of weights that the new model holds.
+        unscreened: number of targets that were trained on though no person had decided about them;
+            None where there was nothing to screen, such as for training assets, and in older
+            records.
+        flows: cost of each flow.
+        processes: number of processes that trained together, last time.
+        device: device that trained.
+        peak_bytes: most memory in use, last time; of the accelerator, or of the first process.
+        torch, python: versions of PyTorch and Python.
+    """
+
+    format: Literal["recast-training"] = "recast-training"
+    version: int = _VERSION
+    complete: bool
+    inputs: StageInputs
+    weights: Literal["average", "raw"]
+    unscreened: int | None = None
+    flows: dict[FlowName, FlowRecord] = Field(default_factory=dict)
+    processes: int = 1
+    device: str
+    peak_bytes: int | None = None
+    torch: str = torch.__version__
+    python: str = platform.python_version()
+
+    def write(self, folder: Path) -> None:
+        """Write training.json."""
+        write_json(folder / RECORD_FILE, self.model_dump(mode="json"))
+
+
+def read_training_record(folder: Path) -> TrainingRecord:
+    """Read training.json of a model folder.
+
+    Raises:
+        InputError: missing, or wrong.
+    """
+    mend = "give a folder that recast recar train wrote"
+    return read_record(folder / RECORD_FILE, TrainingRecord, _VERSION, mend, _FORMAT)
+
+
+def check_same_inputs(folder: Path, inputs: StageInputs) -> None:
+    """Check that what lies in `folder`, if anything, was trained from the same.
+
+    Raises:
+        InputError: it was not, or the folder holds something else.
+    """
+    path = folder / RECORD_FILE
+    if path.exists():
+        found = read_training_record(folder).inputs
+        # A course that may go on longer is judged by the state of each flow.
+        for name in sorted(set(StageInputs.model_fields) - {"config"}):
+            theirs, ours = getattr(found, name), getattr(inputs, name)
+            if theirs != ours:
+                raise InputError(path, f"inputs.{name}", f"is {theirs!r}, not {ours!r}", _MEND_OUT)
+        _check_config(path, found.config, inputs.config)
+    elif folder.exists() and any(folder.iterdir()):
+        problem = f"contains other files, but no {RECORD_FILE}"
+        raise InputError(folder, "output folder", problem, "choose another folder")
+
+
+def _check_config(path: Path, found: StageConfig, asked: StageConfig) -> None:
+    free = {"structure", "latent", "name"}
+    free |= {"probe", "sheet_every", "sheet_vehicles", "token_memory_mib"}
+    same_flows = found.settings.keys() == asked.settings.keys()
+    if not same_flows or found.model_dump(exclude=free) != asked.model_dump(exclude=free):
+        raise InputError(path, "inputs.config", "differs from the requested one", _MEND_OUT)

@@ -1,30 +1,41 @@
-"""Photographs of vehicles become a vehicle set, prepared by one process or several."""
+"""Making a vehicle set of photographs: a folder for each vehicle, and a table about them.
+
+    PHOTOS/vehicles.csv (or vehicles.json)
+    PHOTOS/ID/001.jpg, 002.jpg, ...    in order of azimuth
+
+Vehicles are prepared by one process or several. Beside the set, `.ingest` remembers hashes and
+doubts, and ingest.json lists what was left out. See docs/recar.md.
+"""
 
 from __future__ import annotations
 
 import multiprocessing
+import re
 from collections import deque
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import cv2
+import numpy as np
 
 from recast.core import files
 from recast.core.errors import InputError
 from recast.core.progress import Progress, tell
 from recast.core.ray_cluster import worker_pool
-from recast.recar.ingest.duplicates import (
-    REPORT_FILE,
+from recast.core.records import Record, validated
+from recast.recar.ingest_folder import check_sizes, photographs_of, pick_photographs
+from recast.recar.ingest_photograph import (
+    WORDS,
+    Hashes,
+    PhotographCandidate,
+    PhotographMasker,
+    Prepared,
     SeenPictures,
-    read_entry,
-    write_entry,
-    write_report,
+    perceptual_hash,
+    prepare,
 )
-from recast.recar.ingest.folder import check_sizes, photographs_of
-from recast.recar.ingest.photograph import PhotographCandidate, PhotographMasker, Prepared, prepare
-from recast.recar.ingest.settings import LAYOUTS, IngestSettings, VehicleRow, find_table, read_table
-from recast.recar.ingest.walkaround import pick_photographs
+from recast.recar.ingest_table import LAYOUTS, IngestSettings, VehicleRow, find_table, read_table
 from recast.recar.vehicle_set import (
     IDENTITY_FILE,
     Identity,
@@ -297,3 +308,71 @@ def _start(
             return error
 
     return work
+
+
+REPORT_FILE = "ingest.json"
+_FOLDER = ".ingest"  # a reader of the set takes no folder whose name begins with a dot
+
+
+class _Entry(Record):
+    hashes: tuple[str, ...]
+    doubts: tuple[str, ...]
+
+
+def write_entry(out: Path, identity: str, hashes: Hashes, doubts: tuple[str, ...]) -> None:
+    """Remember hashes (V, 4) and doubts of an identity."""
+    value = {"hashes": [one.tobytes().hex() for one in hashes], "doubts": list(doubts)}
+    files.write_json(out / _FOLDER / f"{identity}.json", value)
+
+
+def read_entry(out: Path, identity: Identity) -> tuple[Hashes, tuple[str, ...]]:
+    """Hashes (V, 4) and doubts of a finished identity, the hashes anew where they are lost."""
+    path, views = out / _FOLDER / f"{identity.record.id}.json", identity.set_record.views
+    try:
+        entry = _Entry.model_validate(files.read_json(path))
+        data = bytes.fromhex("".join(entry.hashes))
+        return np.frombuffer(data, np.uint64).reshape(views, WORDS), entry.doubts
+    except ValueError:  # as are those of pydantic, and an InputError
+        return np.stack([perceptual_hash(identity.view(index)) for index in range(views)]), ()
+
+
+def write_report(
+    out: Path, skipped: Mapping[str, InputError], doubts: Mapping[str, tuple[str, ...]]
+) -> None:
+    """Write ingest.json: every vehicle that is not in the set and why, and every doubt."""
+
+    def shown(text: str) -> str:  # settings in backquotes as options of the command line
+        return re.sub("`([a-z_]+)`", lambda name: "--" + name[1].replace("_", "-"), text)
+
+    value = {
+        "skipped": [
+            {
+                "vehicle": name,
+                "where": shown(error.where),
+                "field": shown(error.field),
+                "problem": error.problem,
+                "mend": shown(error.mend),
+            }
+            for name, error in sorted(skipped.items())
+        ],
+        "doubts": {name: list(lines) for name, lines in sorted(doubts.items()) if lines},
+    }
+    files.write_json(out / REPORT_FILE, value)
+
+
+class _Report(Record):
+    skipped: tuple[dict[str, str], ...]
+    doubts: dict[str, tuple[str, ...]]
+
+
+def read_doubts(out: Path) -> dict[str, tuple[str, ...]] | None:
+    """The doubts in ingest.json by identity; None for a set without the file, such as renders.
+
+    Raises:
+        InputError: the file is broken.
+    """
+    path = out / REPORT_FILE
+    if not path.exists():
+        return None
+    mend = "run `recast recar ingest` again, or delete the file"
+    return validated(path, files.read_json(path), _Report, mend).doubts

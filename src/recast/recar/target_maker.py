@@ -1,35 +1,32 @@
-"""One target from one vehicle: what a process of the builder does."""
+"""One target from one vehicle: settings, the model, and what a process of the builder does."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+import hashlib
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Any, Literal
 
 import numpy as np
 import torch
+from pydantic import Field, FiniteFloat
 
 from recast.arrays import Image
 from recast.core.errors import InputError
+from recast.core.records import Record
 from recast.logs.images import encode
-from recast.recar.targets.cache import Target
-from recast.recar.targets.cache_records import (
-    FilterRecord,
-    FilterSettings,
-    ModelSource,
-    TargetRecord,
-    TargetSettings,
-    identity_seed,
-)
-from recast.recar.targets.quality import (
+from recast.recar.target_cache import CachedModelRecord, FilterRecord, Heading, Target, TargetRecord
+from recast.recar.target_quality import (
     AestheticScore,
     AgreementScore,
     Quality,
     QualityScore,
     TargetCandidate,
+    file_hash,
     weight_hashes,
 )
-from recast.recar.targets.views import (
+from recast.recar.target_views import (
     EncodedView,
     Viewpoint,
     find_heading,
@@ -41,7 +38,133 @@ from recast.recar.targets.views import (
 from recast.recar.vehicle_set import Split
 from recast.recar.views import write_words
 from recast.splats import Gaussians
-from recast.trellis import GeneratedVehicle, GenerationLimits, ImageTo3D, generate
+from recast.trellis import (
+    GeneratedVehicle,
+    GenerationLimits,
+    ImageTo3D,
+    MultiImageMode,
+    SamplerSettings,
+    generate,
+)
+from recast.trellis.checkpoints import GENERATION_ROLES, PipelineRecord, read_pipeline
+from recast.trellis.checkpoints.load import BACKBONE_FOLDER
+from recast.trellis.checkpoints.model_files import model_files
+from recast.trellis.checkpoints.pipeline_record import LATENT_FLOW, PIPELINE_FILE
+
+FilterKind = Literal["agreement", "aesthetic", "none"]
+
+
+class FilterSettings(Record):
+    """The quality filter.
+
+    Attributes:
+        kind: "aesthetic" is that of the paper, the Improved Aesthetic Predictor; "agreement" a
+            stand-in for small models, see `AgreementScore`; "none" scores nothing.
+        threshold: least score of a target that is used; None takes that of the score.
+        predictor: weights of the predictor, such as sac+logos+ava1-l14-linearMSE.pth.
+        clip: folder of CLIP ViT-L/14 as Hugging Face has it.
+    """
+
+    kind: FilterKind = "agreement"
+    threshold: FiniteFloat | None = None
+    predictor: Path | None = None
+    clip: Path | None = None
+
+
+class TargetSettings(Record):
+    """How targets are made; the defaults are the paper's, where it says something.
+
+    Attributes:
+        seed: seed from which the seed of every vehicle is derived.
+        mode: mode of the multi-image pipeline.
+        structure, latent: samplers of structure and latents; None takes those of the checkpoint.
+        retries: number of further seeds for a structure that is empty or too large.
+        max_voxels: most voxels of a structure, more of them are too many; None takes 8 R^2, the
+            published limit.
+        heading: direction in which vehicles of the model look: along +x, as those of models that
+            were trained so do, and a target that does not is one that failed; or any way, as those
+            of the published ones, which is then found by the pictures.
+        filter: quality filter.
+    """
+
+    seed: int = Field(default=0, ge=0)
+    mode: MultiImageMode = "stochastic"
+    structure: SamplerSettings | None = None
+    latent: SamplerSettings | None = None
+    retries: int = Field(default=3, ge=0, le=1000)
+    max_voxels: int | None = Field(default=None, ge=1)
+    heading: Heading = "any"
+    filter: FilterSettings = FilterSettings()
+
+
+def identity_seed(seed: int, identity: str) -> int:
+    """Seed of the noise of one vehicle in [0, 2^31): it depends on no other vehicle.
+
+    Retries count on from it; the seeds of two vehicles are rarely near each other.
+    """
+    digest = hashlib.sha256(f"{seed}/{identity}".encode()).digest()
+    return int.from_bytes(digest[:8], "big") % 2**31
+
+
+@dataclass(frozen=True)
+class ModelSource:
+    """A model folder in the published layout; every process loads a model of its own from it.
+
+    Attributes:
+        folder: folder with pipeline.json and ckpts/.
+        image_encoder: weights of the published image encoder, where the folder has none.
+        device: device to compute on; None takes CUDA where there is some, one device a process in
+            turn.
+    """
+
+    folder: Path
+    image_encoder: Path | None = None
+    device: str | None = None
+
+    def load(self, device: str | None = None) -> ImageTo3D:
+        """The model, on `device` or its own.
+
+        Raises:
+            InputError: see `ImageTo3D.load`.
+        """
+        return ImageTo3D.load(
+            self.folder, device=device or self.device, image_encoder=self.image_encoder
+        )
+
+    def record(self) -> CachedModelRecord:
+        """What the cache says of the model, all its files read for the hash.
+
+        Raises:
+            InputError: no such folder, or a file is missing or wrong.
+        """
+        pipeline = read_pipeline(self.folder)
+        config: Any = model_files(self.folder, pipeline, LATENT_FLOW).meta_model().config
+        mean, std = pipeline.slat_statistics
+        return CachedModelRecord(
+            name=self.folder.absolute().name,
+            sha256=file_hash(self._files(pipeline)),
+            resolution=int(config.resolution),
+            latent_mean=mean,
+            latent_std=std,
+        )
+
+    def pipeline(self) -> PipelineRecord:
+        """pipeline.json, for its samplers."""
+        return read_pipeline(self.folder)
+
+    def _files(self, pipeline: PipelineRecord) -> Iterator[Path]:
+        yield self.folder / PIPELINE_FILE
+        roles = list(GENERATION_ROLES)
+        if pipeline.encoder_role is not None:
+            roles.append(pipeline.encoder_role)
+        for role in roles:
+            files = model_files(self.folder, pipeline, role)
+            yield from (files.config, files.weights)
+        if pipeline.encoder_role is None:
+            backbone = self.image_encoder or self.folder / BACKBONE_FOLDER
+            inside = backbone.rglob("*") if backbone.is_dir() else iter([backbone])
+            yield from sorted(path for path in inside if path.is_file())
+
 
 TILE = 192
 """Pixels a side of a tile."""

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+import hashlib
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
 from pathlib import Path
@@ -21,9 +22,8 @@ from recast.core.errors import InputError
 from recast.core.files import read_json
 from recast.core.torch_file import read_tensors
 from recast.pretrained import ClipImages
-from recast.recar.targets.cache import Target
-from recast.recar.targets.cache_records import file_hash
-from recast.recar.targets.views import (
+from recast.recar.target_cache import Target
+from recast.recar.target_views import (
     TargetCutout,
     Viewpoint,
     closeness,
@@ -358,3 +358,14 @@ def load_clip_embedding(folder: Path, width: int) -> Callable[[list[PilImage.Ima
         return clip.embedding(pixels.float())
 
     return embedding
+
+
+def file_hash(paths: Iterator[Path]) -> str:
+    """SHA-256 of the contents of files, one after the other with their lengths before them."""
+    digest = hashlib.sha256()
+    for path in paths:
+        digest.update(path.stat().st_size.to_bytes(8, "big"))
+        with path.open("rb") as stream:
+            while block := stream.read(1 << 22):
+                digest.update(block)
+    return digest.hexdigest()

@@ -1,4 +1,7 @@
-"""Drawing perturbations by a configuration, putting them one on the other, and a sheet of all."""
+"""Faults of pictures from driving logs, put on clean conditioning pictures (paper, Stage II).
+
+Drawn by a configuration, put one on the other, and shown on a sheet.
+"""
 
 from __future__ import annotations
 
@@ -15,8 +18,8 @@ from recast.core import files
 from recast.core.errors import InputError
 from recast.core.records import Record, read_record
 from recast.logs.images import encode
-from recast.recar.perturb.camera import Compression, Defocus, Fog, LowLight, MotionBlur, Resampling
-from recast.recar.perturb.kind import (
+from recast.recar.perturb_camera import Compression, Defocus, Fog, LowLight, MotionBlur, Resampling
+from recast.recar.perturb_kind import (
     PerturbationKind,
     Share,
     find_object,
@@ -24,8 +27,17 @@ from recast.recar.perturb.kind import (
     shrinking,
     straight,
 )
-from recast.recar.perturb.masks import Dilation, Erosion, Holes, Jagged, Leak
-from recast.recar.perturb.occlusion import Border, Cropping, OtherVehicle, Pole
+from recast.recar.perturb_outline import (
+    Border,
+    Cropping,
+    Dilation,
+    Erosion,
+    Holes,
+    Jagged,
+    Leak,
+    OtherVehicle,
+    Pole,
+)
 from recast.recar.views import write_words
 from recast.trellis import check_crop, crop_to_object
 from recast.trellis.conditioning.crop import OPAQUE

@@ -1,4 +1,4 @@
-"""Caches of pseudo-targets, in the layout of the published training data.
+"""Caches of pseudo-targets, in the layout of the published training data, and their records.
 
 CACHE/cache.json
 CACHE/ss_latents/MODEL/ID.npz     mean (C, r, r, r) float32
@@ -12,27 +12,134 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Annotated, Literal
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import Field, FiniteFloat
 
 from recast.core import files
 from recast.core.errors import InputError
-from recast.core.records import read_record
+from recast.core.records import Record, read_record
 from recast.recar.screening import Decision, read_decisions
-from recast.recar.targets.cache_records import (
-    CACHE_FILE,
-    CACHE_FORMAT,
-    CACHE_VERSION,
-    MEND,
-    PREVIEWS,
-    RECORDS,
-    CacheRecord,
-    TargetRecord,
-)
-from recast.recar.vehicle_set import Split
+from recast.recar.vehicle_set import IdentityName, Split, Text
 from recast.recar.views import write_arrays
 from recast.tables import read_npz
+from recast.trellis import MultiImageMode, SamplerSettings
+
+Heading = Literal["any", "+x"]
+CACHE_FORMAT = "recast-target-cache"
+CACHE_VERSION = 1
+CACHE_FILE = "cache.json"
+RECORDS = "records"
+PREVIEWS = "previews"
+MEND = "build the cache again into a new folder"
+
+VIEWS_DEG = (0.0, 180.0, 90.0, 270.0)
+"""Azimuths of front, rear, left and right, the order in which the pipeline gets them."""
+
+Azimuth = Annotated[FiniteFloat, Field(ge=0, lt=360)]
+
+
+class CachedModelRecord(Record):
+    """The model that made the targets.
+
+    Attributes:
+        name: name of its folder; the targets lie in folders of that name.
+        sha256: SHA-256 of its files.
+        resolution: R voxels a side of the decoded structure.
+        latent_mean, latent_std: its normalisation of structured latents, one value a channel; the
+            cache holds them raw.
+    """
+
+    name: Text
+    sha256: Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]
+    resolution: int = Field(ge=1, le=256)
+    latent_mean: tuple[FiniteFloat, ...]
+    latent_std: tuple[Annotated[FiniteFloat, Field(gt=0)], ...]
+
+
+class FilterRecord(Record):
+    """The quality filter: targets below the threshold are not used.
+
+    Attributes:
+        score: name of the score; None where there is no filter.
+        threshold: least score. Only comparable among scores of the same name.
+        weights: sha256 of the files the score was computed with, by what they are.
+    """
+
+    score: Text | None = None
+    threshold: FiniteFloat | None = None
+    weights: dict[str, str] = Field(default_factory=dict)
+
+
+class CacheRecord(Record):
+    """Contents of cache.json: what all targets have in common.
+
+    Attributes:
+        complete: False while targets are still being made.
+        vehicle_set: name of the set.
+        model: what made the targets.
+        mode: how the views were used.
+        views_deg: azimuths of the pictures that were used, in the order of `VIEWS_DEG`.
+        structure_sampler, latent_sampler: samplers of structure and latents, as they ran.
+        seed: seed from which each vehicle's seed is derived.
+        retries: number of further seeds for a structure that is empty or too large.
+        max_voxels: most voxels of a structure; more of them are too many.
+        heading: direction in which vehicles of the model look, see `TargetSettings`; +x of caches
+            that do not say, which assumed it.
+        filter: the quality filter.
+        identities, failures: number of vehicles with a record, and of those among them without
+            a target; None while targets are being made.
+    """
+
+    format: Literal["recast-target-cache"] = "recast-target-cache"
+    version: int = CACHE_VERSION
+    complete: bool
+    vehicle_set: Text
+    model: CachedModelRecord
+    mode: MultiImageMode = "stochastic"
+    views_deg: tuple[Azimuth, Azimuth, Azimuth, Azimuth] = VIEWS_DEG
+    structure_sampler: SamplerSettings
+    latent_sampler: SamplerSettings
+    seed: int = Field(ge=0)
+    retries: int = Field(ge=0)
+    max_voxels: int = Field(ge=1)
+    heading: Heading = "+x"
+    filter: FilterRecord = FilterRecord()
+    identities: int | None = None
+    failures: int | None = None
+
+
+class TargetRecord(Record):
+    """Contents of records/ID.json: one vehicle. Written last: who has one is done.
+
+    Attributes:
+        kind, colour: labels of the vehicle, for people.
+        seed: seed that made the target, after retries; that of the first try where it failed.
+        voxels: number of active voxels; 0 where it failed.
+        gaussians: number of decoded Gaussians; 0 where it failed.
+        score: score of the quality filter; None where there is none, or it failed.
+        score_flipped: score with front and rear exchanged, where the score can tell.
+        parts: what the score is made of, by name.
+        heading_deg: direction of its front, about z from +x; None where it was not searched.
+        failure: reason why there is no target; None where there is one.
+    """
+
+    version: int = CACHE_VERSION
+    id: IdentityName
+    split: Split
+    kind: Text
+    colour: Text | None = None
+    seed: int = Field(ge=0)
+    voxels: int = Field(default=0, ge=0, le=256**3)
+    gaussians: int = Field(default=0, ge=0, lt=2**63)
+    score: FiniteFloat | None = None
+    score_flipped: FiniteFloat | None = None
+    parts: dict[str, FiniteFloat] = Field(default_factory=dict)
+    heading_deg: Azimuth | None = None
+    failure: Text | None = None
+
 
 _MOST_BYTES = 1 << 28  # most of the arrays of a target; published ones have 2 MB
 STRUCTURES = "ss_latents"

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from recast.arrays import Image
 from recast.core.errors import InputError
 from recast.geometry import se3
-from recast.recar.targets.cache_records import VIEWS_DEG
+from recast.recar.target_cache import VIEWS_DEG
 from recast.recar.vehicle_set import Identity, SetRecord
 from recast.recar.views import ELEVATION_DEG, FOV_DEG, camera_pose, decode_picture, pinhole
 from recast.splats import MIP, Gaussians, rasterize
