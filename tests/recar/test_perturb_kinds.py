@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from recast.recar.perturb import PerturbationConfig, PerturbationKind
-from recast.recar.perturb.kind import find_object
+from recast.recar.perturb import PerturbationConfig
+from recast.recar.perturb_kind import PerturbationKind, find_object
 from recast.trellis import check_crop
 
 from .perturb_cars import difference, drawn_car

@@ -33,10 +33,8 @@ from recast.logs import DrivingLog
 from recast.metrics.oracle_scores import grown, mask_iou
 from recast.metrics.perceptual import ImageDistance
 from recast.recar import RealView, holds_real_crops, read_real_crops
-from recast.recar.set_records import SET_FILE
-from recast.recar.shards.layout import INDEX_FILE
-from recast.recar.shards.sharded_set import open_set
-from recast.recar.views import FOV_DEG, IdentitySource, VehicleSource, pinhole
+from recast.recar.vehicle_set import SET_FILE, Identity, read_set
+from recast.recar.views import FOV_DEG, pinhole
 from recast.reconstruction.config import SceneConfig
 from recast.reconstruction.evaluate import MIN_BOX_PX, draw_view
 from recast.reconstruction.scores import Rectangle, capped_psnr, ssim, ssim_map
@@ -112,7 +110,7 @@ def read_cases(
     azimuth 0, 90, 180 and 270 degrees, the input left out.
 
     Args:
-        folder: see `recast.recar.read_real_crops`; the set in folders or in shards.
+        folder: see `recast.recar.read_real_crops`, or `recast.recar.read_set`.
         limit: take only the first vehicles, sorted by id.
         views: number of inputs of a set's vehicle, at most.
 
@@ -126,8 +124,8 @@ def read_cases(
             raise InputError(option, "value", f"is {value}", "give 1 or more")
     if not folder.is_dir():
         raise InputError(folder, "set", "is not a folder", "check the path")
-    if any((folder / name).exists() for name in (SET_FILE, INDEX_FILE)):
-        vehicles: VehicleSource = open_set(folder)
+    if (folder / SET_FILE).exists():
+        vehicles = read_set(folder)
         held_out = list(vehicles.of_split("held-out"))[:limit]
         cases = [_case_of_identity(folder, identity, seed, views) for identity in held_out]
         if not cases:
@@ -137,7 +135,7 @@ def read_cases(
         raise InputError(
             folder,
             "set",
-            f"has no {SET_FILE}, no {INDEX_FILE} and no ID/input_views",
+            f"has no {SET_FILE} and no ID/input_views",
             "give a folder of vehicles; see docs/data.md#vehicle-sets",
         )
     return [
@@ -156,7 +154,7 @@ def _view_of_crop(view: RealView) -> ActorView:
     return ActorView(view.image.stem, view.rgba, view.camera, se3.inverse(view.actor_from_camera))
 
 
-def _case_of_identity(folder: Path, identity: IdentitySource, seed: int, views: int) -> ActorCase:
+def _case_of_identity(folder: Path, identity: Identity, seed: int, views: int) -> ActorCase:
     record, shared = identity.record, identity.set_record
     where = folder / record.id
     if record.size is None:
@@ -203,7 +201,7 @@ def _nearest(azimuths: tuple[float, ...], goal: float) -> int:
     return int(np.argmin(np.round([_apart(one, goal) for one in azimuths], 6)))
 
 
-def _view_of_set(where: Path, identity: IdentitySource, index: int) -> ActorView:
+def _view_of_set(where: Path, identity: Identity, index: int) -> ActorView:
     try:
         camera, actor_from_camera = identity.camera(index)
     except ValueError as error:

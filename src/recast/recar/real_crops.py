@@ -27,8 +27,8 @@ from recast.core.files import read_json
 from recast.core.images import decode_image, decode_mask, rgb
 from recast.core.names import member
 from recast.core.records import validation_error
-from recast.recar.ingest.photograph import MOST_PIXELS
-from recast.recar.set_records import Metres, Text
+from recast.recar.ingest_photograph import MOST_PIXELS
+from recast.recar.vehicle_set import Metres, Text
 from recast.recar.views import camera_pose, pinhole
 
 INPUT_VIEWS, RESERVED_VIEWS = "input_views", "reserved_views"

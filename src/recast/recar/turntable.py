@@ -22,8 +22,8 @@ from scipy.spatial import HalfspaceIntersection
 
 from recast.arrays import Array, Image
 from recast.core.errors import InputError
-from recast.recar.vehicle_set import begin_set, finish_set, write_identity
-from recast.recar.views import IdentitySource, VehicleSource, camera_pose, pinhole
+from recast.recar.vehicle_set import Identity, VehicleSet, begin_set, finish_set, write_identity
+from recast.recar.views import camera_pose, pinhole
 
 LEAST_VIEWS = 8
 MOST_RESIDUAL = 0.005
@@ -155,7 +155,7 @@ def fit_turntable(
 
 
 def fit_set(
-    vehicle_set: VehicleSource, fov_deg: float | None = None
+    vehicle_set: VehicleSet, fov_deg: float | None = None
 ) -> dict[str, TurntableFit | InputError]:
     """The camera of each vehicle of a set, or why it has none."""
     fits: dict[str, TurntableFit | InputError] = {}
@@ -183,7 +183,7 @@ def medians(fits: Mapping[str, TurntableFit | InputError]) -> tuple[float, float
 
 
 def write_fitted(
-    vehicle_set: VehicleSource, fits: Mapping[str, TurntableFit | InputError], out: Path
+    vehicle_set: VehicleSet, fits: Mapping[str, TurntableFit | InputError], out: Path
 ) -> None:
     """Write a set with its camera: the same views, shifted so that they look at the box centre.
 
@@ -229,11 +229,11 @@ def _check_alike(
             )
 
 
-def _alpha(identity: IdentitySource, view: int) -> Image:
+def _alpha(identity: Identity, view: int) -> Image:
     return np.ascontiguousarray(identity.view(view)[..., 3])
 
 
-def _shifted(identity: IdentitySource, view: int, centre: Array) -> Image:
+def _shifted(identity: Identity, view: int, centre: Array) -> Image:
     """A view shifted by whole pixels so that `centre` is in its middle."""
     picture = identity.view(view)
     height, width = picture.shape[:2]

@@ -9,17 +9,17 @@ from recast.actors.actor import CandidateRecord
 from recast.cli.shared import Rows, with_unit
 from recast.core.errors import InputError
 from recast.recar.statistics import SetStatistics
-from recast.recar.targets import TargetCache
-from recast.recar.targets.builder import TargetStatistics
+from recast.recar.target_cache import TargetCache
+from recast.recar.targets import TargetStatistics
 from recast.recar.turntable import TurntableFit
-from recast.recar.views import VehicleSource
+from recast.recar.vehicle_set import VehicleSet
 from recast.studies.actors import ActorEvaluation, TrackResult
 from recast.studies.generation.report import STUDY_COLUMNS, StudyBlock
 from recast.trellis.checkpoints import ModelCheck
 
 
 def camera_rows(
-    vehicle_set: VehicleSource, fits: Mapping[str, TurntableFit | InputError]
+    vehicle_set: VehicleSet, fits: Mapping[str, TurntableFit | InputError]
 ) -> dict[str, list[dict[str, Any]]]:
     """Camera of each vehicle of a turntable; `centre` is the box centre's mean offset.
 
@@ -195,6 +195,8 @@ def set_rows(statistics: SetStatistics) -> Rows:
         "held_out": statistics.splits["held-out"],
         "pictures": statistics.pictures,
         "size_bytes": statistics.bytes,
+        "decided": statistics.decided,
+        "left_out": statistics.left_out,
     }
     sizes = statistics.sizes or ()
     return {

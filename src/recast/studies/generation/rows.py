@@ -17,14 +17,15 @@ from recast.actors import make_generator
 from recast.actors.axes import AUTO
 from recast.actors.library import LIBRARY, LibraryGenerator
 from recast.actors.vehicle_files import VEHICLE_SUFFIXES, is_vehicle_file
+from recast.arrays import Image
 from recast.core.artefact import file_hash, files_hash, value_hash
 from recast.core.errors import InputError
 from recast.core.names import folder_name
 from recast.core.records import Record, read_record
 from recast.metrics.actor_scores import ActorCase, Targets
 from recast.recar.perturb import PerturbationConfig
-from recast.recar.set_records import Text
-from recast.recar.views import Image, read_picture
+from recast.recar.vehicle_set import Text
+from recast.recar.views import read_picture
 from recast.runs.sources import generator_source
 from recast.trellis import verify_checkpoint
 

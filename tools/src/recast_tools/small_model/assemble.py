@@ -13,10 +13,9 @@ from rich.console import Console
 from recast.core.errors import InputError
 from recast.core.files import write_json
 from recast.core.progress import Progress, tell
-from recast.recar.targets import CacheRecord, ModelSource, Target, TargetCache, TargetRecord
-from recast.recar.targets.cache import ChannelMoments
-from recast.recar.targets.cache_records import CACHE_FILE
-from recast.recar.training.assets import AssetStore, TrainingAsset, occupancy, voxel_features
+from recast.recar.target_cache import CACHE_FILE, CacheRecord, Target, TargetCache, TargetRecord
+from recast.recar.target_maker import ModelSource
+from recast.recar.training_conditions import TrainingAsset
 from recast.trellis import SamplerSettings
 from recast.trellis.checkpoints import (
     SMALL,
@@ -36,6 +35,12 @@ from recast.trellis.checkpoints.pipeline_record import (
     STRUCTURE_FLOW,
 )
 from recast.trellis.models import SparseStructureEncoder
+from recast_tools.small_model.asset_store import (
+    AssetStore,
+    ChannelMoments,
+    occupancy,
+    voxel_features,
+)
 from recast_tools.small_model.recipe import (
     REPORT_FILE,
     Report,

@@ -11,8 +11,7 @@ import torch
 from torch import Tensor
 
 from recast.core.files import write_json
-from recast.recar.training.assets import AssetStore, occupancy, voxel_features
-from recast.reconstruction import psnr
+from recast.reconstruction.scores import psnr
 from recast.training.loop import Watch, train
 from recast.training.task import TrainerSettings, TrainingTask
 from recast.trellis import crop_to_object
@@ -33,6 +32,7 @@ from recast.trellis.models import (
     SparseStructureEncoder,
 )
 from recast.trellis.models.flow_transformer import SparseStructureFlowModel
+from recast_tools.small_model.asset_store import AssetStore, occupancy, voxel_features
 from recast_tools.small_model.autoencoders import (
     ImageEncoderTask,
     ImageExamples,
