@@ -84,7 +84,7 @@ class RecarTargets:
             target_statistics,
             target_table,
         )
-        from recast.trellis.checkpoints import read_pipeline
+        from recast.trellis.model_files import read_pipeline
         from recast.weights import located
 
         require_range(0, seed=self.seed, retries=self.retries)

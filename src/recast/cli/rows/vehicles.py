@@ -15,7 +15,7 @@ from recast.recar.turntable import TurntableFit
 from recast.recar.views import VehicleSource
 from recast.studies.actors import ActorEvaluation, TrackResult
 from recast.studies.generation.summary import STUDY_COLUMNS, StudyBlock
-from recast.trellis.checkpoints import ModelCheck
+from recast.trellis.model_files import ModelCheck
 
 
 def camera_rows(

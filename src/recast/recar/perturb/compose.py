@@ -28,7 +28,7 @@ from recast.recar.perturb.masks import Dilation, Erosion, Holes, Jagged, Leak
 from recast.recar.perturb.occlusion import Border, Cropping, OtherVehicle, Pole
 from recast.recar.views import write_words
 from recast.trellis import check_crop, crop_to_object
-from recast.trellis.conditioning.crop import OPAQUE
+from recast.trellis.conditioning import OPAQUE
 
 PERTURBATIONS_FORMAT = "recast-perturbations"
 PERTURBATIONS_VERSION = 1

@@ -25,7 +25,7 @@ from recast.recar.targets.cache_records import CACHE_FILE, CacheRecord, ModelSou
 from recast.recar.targets.maker import VehicleTask, absolute, filter_record, start_maker
 from recast.recar.targets.views import encoded_view, nearest_views
 from recast.recar.views import VehicleSource
-from recast.trellis.generation import TRAINED_VOXEL_SHARE
+from recast.trellis.generate import TRAINED_VOXEL_SHARE
 
 
 def build_targets(

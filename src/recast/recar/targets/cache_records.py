@@ -13,10 +13,15 @@ from pydantic import Field, FiniteFloat
 from recast.core.records import Record
 from recast.recar.set_records import IdentityName, Split, Text
 from recast.trellis import ImageTo3D, MultiImageMode, SamplerSettings
-from recast.trellis.checkpoints import GENERATION_ROLES, PipelineRecord, read_pipeline
-from recast.trellis.checkpoints.load import BACKBONE_FOLDER
-from recast.trellis.checkpoints.model_files import model_files
-from recast.trellis.checkpoints.pipeline_record import LATENT_FLOW, PIPELINE_FILE
+from recast.trellis.checkpoints import BACKBONE_FOLDER
+from recast.trellis.model_files import (
+    GENERATION_ROLES,
+    LATENT_FLOW,
+    PIPELINE_FILE,
+    PipelineRecord,
+    model_files,
+    read_pipeline,
+)
 
 FilterKind = Literal["agreement", "aesthetic", "none"]
 Heading = Literal["any", "+x"]

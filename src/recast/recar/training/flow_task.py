@@ -22,9 +22,14 @@ from recast.recar.training.conditions import (
 )
 from recast.recar.training.stage_config import FlowObjective
 from recast.training.task import StepLoss, StepRandom
-from recast.trellis.flow_matching import FlowLoss, FlowMatching, sample_timesteps
-from recast.trellis.models.flow_transformer import SLatFlowModel, SparseStructureFlowModel
-from recast.trellis.sampler import Velocity, drop_condition
+from recast.trellis.flow_transformer import SLatFlowModel, SparseStructureFlowModel
+from recast.trellis.sampler import (
+    FlowLoss,
+    FlowMatching,
+    Velocity,
+    drop_condition,
+    sample_timesteps,
+)
 from recast.trellis.sparse import SparseTensor
 
 _SEED = 20_260

@@ -16,10 +16,9 @@ from recast.core.errors import InputError
 from recast.core.files import atomic_file, write_bytes, write_json
 from recast.core.records import Record, read_record
 from recast.recar.training.stage_config import FlowName, StageConfig
-from recast.trellis.checkpoints import PipelineRecord, save_model
-from recast.trellis.checkpoints.load import BACKBONE_FOLDER
-from recast.trellis.checkpoints.pipeline_record import PIPELINE_FILE
-from recast.trellis.models import TrellisModel
+from recast.trellis.checkpoints import BACKBONE_FOLDER
+from recast.trellis.layers import TrellisModel
+from recast.trellis.model_files import PIPELINE_FILE, PipelineRecord, save_model
 
 RECORD_FILE = "training.json"
 _FORMAT = "recast-training"

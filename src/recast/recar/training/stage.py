@@ -29,8 +29,8 @@ from recast.training.loop import Processes, train
 from recast.training.progress import TrainingBar, tensorboard_writer
 from recast.training.state import TrainingState, steps_done
 from recast.training.task import LOG_FILE, Means, TrainerSettings, read_log_lines
-from recast.trellis.checkpoints.pipeline_record import LATENT_FLOW, STRUCTURE_FLOW
-from recast.trellis.generation import Stopwatch
+from recast.trellis.generate import Stopwatch
+from recast.trellis.model_files import LATENT_FLOW, STRUCTURE_FLOW
 
 ROLES: dict[FlowName, str] = {"structure": STRUCTURE_FLOW, "latent": LATENT_FLOW}
 TRAINING = "training"

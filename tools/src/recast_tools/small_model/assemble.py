@@ -18,15 +18,9 @@ from recast.recar.targets.cache import ChannelMoments
 from recast.recar.targets.cache_records import CACHE_FILE
 from recast.recar.training.assets import AssetStore, TrainingAsset, occupancy, voxel_features
 from recast.trellis import SamplerSettings
-from recast.trellis.checkpoints import (
-    SMALL,
-    PipelineRecord,
-    load_model,
-    new_checkpoint,
-    save_checkpoint,
-)
-from recast.trellis.checkpoints.model_files import model_files
-from recast.trellis.checkpoints.pipeline_record import (
+from recast.trellis.checkpoint_sizes import SMALL, new_checkpoint
+from recast.trellis.checkpoints import load_model
+from recast.trellis.model_files import (
     GAUSSIAN_DECODER,
     IMAGE_ENCODER,
     LATENT_ENCODER,
@@ -34,8 +28,11 @@ from recast.trellis.checkpoints.pipeline_record import (
     STRUCTURE_DECODER,
     STRUCTURE_ENCODER,
     STRUCTURE_FLOW,
+    PipelineRecord,
+    model_files,
+    save_checkpoint,
 )
-from recast.trellis.models import SparseStructureEncoder
+from recast.trellis.ss_vae import SparseStructureEncoder
 from recast_tools.small_model.recipe import (
     REPORT_FILE,
     Report,
