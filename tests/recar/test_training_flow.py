@@ -30,7 +30,7 @@ from recast.recar.training_config import FlowObjective
 from recast.recar.training_flow import ConditionGap, FlowTask, LatentFlow, StructureFlow
 from recast.training.task import StepRandom
 from recast.trellis import ImageTo3D
-from recast.trellis.flow_matching import FlowMatching
+from recast.trellis.sampler import FlowMatching
 from support.tiny_stage import TinyStage, write_tiny_stage
 from support.trellis import AFTER_TIME, assert_same, golden_tensors
 

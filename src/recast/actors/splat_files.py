@@ -12,8 +12,7 @@ from recast.actors.icp import outer_surface
 from recast.actors.observation import Observation
 from recast.core.errors import InputError
 from recast.splats import CLASSIC, MIP, Gaussians, LowPass
-from recast.splats.formats import GLTF, format_of, splat_suffixes
-from recast.splats.gltf import has_gaussians
+from recast.splats.formats import GLTF, format_of, has_gaussians, splat_suffixes
 
 # Of the published decoder of TRELLIS, in unit cubes (rounded up by what float32 and text lose).
 _PER_VOXEL, _LARGEST_SPREAD, _LEAST_DEVIATION = 32, 1.5 / 64 + 1e-5, 9e-4

@@ -40,7 +40,7 @@ from recast.recar.perturb_outline import (
 )
 from recast.recar.views import write_words
 from recast.trellis import check_crop, crop_to_object
-from recast.trellis.conditioning.crop import OPAQUE
+from recast.trellis.conditioning import OPAQUE
 
 PERTURBATIONS_FORMAT = "recast-perturbations"
 PERTURBATIONS_VERSION = 1

@@ -17,7 +17,7 @@ from pydantic import AfterValidator, Field
 
 from recast.arrays import Image
 from recast.core.records import Record
-from recast.trellis.conditioning.crop import OPAQUE, object_box
+from recast.trellis.conditioning import OPAQUE, object_box
 
 Floats = NDArray[np.floating[Any]]
 

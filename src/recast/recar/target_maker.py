@@ -46,10 +46,13 @@ from recast.trellis import (
     SamplerSettings,
     generate,
 )
-from recast.trellis.checkpoints import GENERATION_ROLES, PipelineRecord, read_pipeline
-from recast.trellis.checkpoints.load import BACKBONE_FOLDER
-from recast.trellis.checkpoints.model_files import model_files
-from recast.trellis.checkpoints.pipeline_record import LATENT_FLOW, PIPELINE_FILE
+from recast.trellis.checkpoints import (
+    BACKBONE_FOLDER,
+    GENERATION_ROLES,
+    PipelineRecord,
+    read_pipeline,
+)
+from recast.trellis.model_files import LATENT_FLOW, PIPELINE_FILE, model_files
 
 FilterKind = Literal["agreement", "aesthetic", "none"]
 

@@ -33,7 +33,7 @@ from recast.recar.target_maker import (
 )
 from recast.recar.target_views import encoded_view, nearest_views
 from recast.recar.vehicle_set import SPLITS, VehicleSet, first_difference
-from recast.trellis.generation import TRAINED_VOXEL_SHARE
+from recast.trellis.generate import TRAINED_VOXEL_SHARE
 
 _PREVIEW = (348, 261)  # pixels of a target's contact sheet on the sheets of the screening
 

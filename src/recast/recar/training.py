@@ -53,11 +53,10 @@ from recast.training.progress import TrainingBar, tensorboard_writer
 from recast.training.state import TrainingState, steps_done
 from recast.training.task import LOG_FILE, Means, TrainerSettings, read_log_lines
 from recast.trellis import ImageTo3D
-from recast.trellis.checkpoints import PipelineRecord, save_model
-from recast.trellis.checkpoints.load import BACKBONE_FOLDER
-from recast.trellis.checkpoints.pipeline_record import LATENT_FLOW, PIPELINE_FILE, STRUCTURE_FLOW
-from recast.trellis.generation import Stopwatch
-from recast.trellis.models import TrellisModel
+from recast.trellis.checkpoints import BACKBONE_FOLDER, PipelineRecord
+from recast.trellis.generate import Stopwatch
+from recast.trellis.layers import TrellisModel
+from recast.trellis.model_files import LATENT_FLOW, PIPELINE_FILE, STRUCTURE_FLOW, save_model
 
 _SHOWN = 3
 

@@ -34,9 +34,14 @@ from recast.splats import Gaussians, rasterize
 from recast.training.state import TrainingState
 from recast.training.task import StepLoss, StepRandom
 from recast.trellis import GenerationLimits, ImageTo3D, generate
-from recast.trellis.flow_matching import FlowLoss, FlowMatching, sample_timesteps
-from recast.trellis.models.flow_transformer import SLatFlowModel, SparseStructureFlowModel
-from recast.trellis.sampler import Velocity, drop_condition
+from recast.trellis.flow_transformer import SLatFlowModel, SparseStructureFlowModel
+from recast.trellis.sampler import (
+    FlowLoss,
+    FlowMatching,
+    Velocity,
+    drop_condition,
+    sample_timesteps,
+)
 from recast.trellis.sparse import SparseTensor
 
 _SEED = 20_260

@@ -17,15 +17,9 @@ from recast.recar.target_cache import CACHE_FILE, CacheRecord, Target, TargetCac
 from recast.recar.target_maker import ModelSource
 from recast.recar.training_conditions import TrainingAsset
 from recast.trellis import SamplerSettings
-from recast.trellis.checkpoints import (
-    SMALL,
-    PipelineRecord,
-    load_model,
-    new_checkpoint,
-    save_checkpoint,
-)
-from recast.trellis.checkpoints.model_files import model_files
-from recast.trellis.checkpoints.pipeline_record import (
+from recast.trellis.checkpoint_sizes import SMALL, new_checkpoint
+from recast.trellis.checkpoints import PipelineRecord, load_model, save_checkpoint
+from recast.trellis.model_files import (
     GAUSSIAN_DECODER,
     IMAGE_ENCODER,
     LATENT_ENCODER,
@@ -33,8 +27,9 @@ from recast.trellis.checkpoints.pipeline_record import (
     STRUCTURE_DECODER,
     STRUCTURE_ENCODER,
     STRUCTURE_FLOW,
+    model_files,
 )
-from recast.trellis.models import SparseStructureEncoder
+from recast.trellis.ss_vae import SparseStructureEncoder
 from recast_tools.small_model.asset_store import (
     AssetStore,
     ChannelMoments,

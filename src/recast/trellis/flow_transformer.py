@@ -10,17 +10,23 @@ import torch
 from pydantic import Field, model_validator
 from torch import Tensor, nn
 
-from recast.trellis.attention import DenseTokens, final_norm
-from recast.trellis.blocks import (
+from recast.trellis.layers import (
+    DenseTokens,
+    Depth,
+    ModelConfig,
     ModulatedCrossBlock,
+    Size,
     SparseResBlock3d,
     TimestepEmbedder,
+    TransformerConfig,
+    TrellisModel,
     absolute_positions,
+    final_norm,
     modulation_layer,
     start_at_zero,
 )
-from recast.trellis.models.base import Depth, ModelConfig, Size, TransformerConfig, TrellisModel
-from recast.trellis.sparse import PackedTokens, SparseTensor, SubMConv3d, pool
+from recast.trellis.sparse import PackedTokens, SparseTensor, pool
+from recast.trellis.sparse_convolution import SubMConv3d
 
 
 class FlowConfig(TransformerConfig):

@@ -9,9 +9,10 @@ from typing import Any
 
 import torch
 
-from recast.trellis.checkpoints.load import Checkpoint
-from recast.trellis.checkpoints.model_files import build
-from recast.trellis.checkpoints.pipeline_record import (
+from recast.trellis.checkpoints import Checkpoint
+from recast.trellis.conditioning import ImageEncoder
+from recast.trellis.layers import TrellisModel
+from recast.trellis.model_files import (
     GAUSSIAN_DECODER,
     IMAGE_ENCODER,
     LATENT_ENCODER,
@@ -21,9 +22,8 @@ from recast.trellis.checkpoints.pipeline_record import (
     STRUCTURE_ENCODER,
     STRUCTURE_FLOW,
     PipelineRecord,
+    build,
 )
-from recast.trellis.conditioning import ImageEncoder
-from recast.trellis.models import TrellisModel
 from recast.trellis.sampler import SamplerSettings
 
 

@@ -17,7 +17,7 @@ from torch import Tensor, nn
 from torch.autograd.function import once_differentiable
 
 from recast.core.errors import InputError
-from recast.trellis.sparse.tensor import CENTRE, OFFSETS, NeighbourMap, SparseTensor, neighbour_map
+from recast.trellis.sparse import CENTRE, OFFSETS, NeighbourMap, SparseTensor, neighbour_map
 
 SPCONV_DTYPES = (torch.float32, torch.float16)
 IM2COL_ELEMENTS = 1 << 20

@@ -12,9 +12,15 @@ from pydantic import Field
 from torch import Tensor, nn
 from torch.nn import functional
 
-from recast.trellis.attention import ChannelLayerNorm32
-from recast.trellis.blocks import start_at_zero
-from recast.trellis.models.base import Depth, ModelConfig, Posterior, Size, TrellisModel
+from recast.trellis.layers import (
+    ChannelLayerNorm32,
+    Depth,
+    ModelConfig,
+    Posterior,
+    Size,
+    TrellisModel,
+    start_at_zero,
+)
 
 
 class SparseStructureVaeConfig(ModelConfig):
