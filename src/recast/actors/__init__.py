@@ -9,6 +9,7 @@ from recast.actors.generate import (
     GENERATORS,
     ActorGenerator,
     Asset,
+    BaseGenerator,
     make_generator,
 )
 from recast.actors.grounded_segmenter import (
@@ -40,6 +41,7 @@ __all__ = [
     "ActorGenerator",
     "Asset",
     "AxisConvention",
+    "BaseGenerator",
     "BoxLidarSegmenter",
     "GroundedSamSegmenter",
     "MaskQuality",

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from recast.actors.axes import AUTO, AxisConvention, axes_of, upright
-from recast.actors.generate import Asset
+from recast.actors.generate import Asset, BaseGenerator
 from recast.actors.icp import outer_surface
 from recast.actors.observation import Observation
 from recast.core.errors import InputError
@@ -28,7 +28,7 @@ def holds_gaussians(path: Path) -> bool:
     return has_gaussians(path) if suffix == GLTF.suffix else suffix in splat_suffixes()
 
 
-class SplatGenerator:
+class SplatGenerator(BaseGenerator):
     """Takes the Gaussians of a PLY, glTF, SPZ or OpenUSD file whatever the observation shows.
 
     Args:

@@ -19,7 +19,7 @@ from recast.core.errors import InputError, printable
 from recast.core.progress import ProgressBar
 from recast.logs import read_log
 from recast.metrics.table import COLUMNS, Bootstrap, rounded
-from recast.planning import Planner, make_planner, whole_planner
+from recast.planning import BasePlanner, make_planner
 from recast.runs.arms import truth_of
 from recast.runs.display import failure_lines, narrow_table
 from recast.runs.rollouts import (
@@ -139,7 +139,7 @@ def _make(
     return results, spent
 
 
-def check_grid(settings: BenchSettings) -> dict[str, Planner]:
+def check_grid(settings: BenchSettings) -> dict[str, BasePlanner]:
     """Refuse what cannot work before anything is written; return the planners by their words.
 
     Raises:
@@ -169,19 +169,19 @@ def check_grid(settings: BenchSettings) -> dict[str, Planner]:
     return planners
 
 
-def _require_unshared(planners: Mapping[str, Planner], workers: int, ray: str | None) -> None:
+def _require_unshared(planners: Mapping[str, BasePlanner], workers: int, ray: str | None) -> None:
     """Refuse several workers of a planner that is one program: they would reset it in turn.
 
     Raises:
         InputError: names the planner.
     """
-    shared = next((word for word, one in planners.items() if whole_planner(one).shared), None)
+    shared = next((word for word, one in planners.items() if one.shared), None)
     if shared is not None and (workers != 1 or ray is not None):
         problem = "is a single program that drives only one rollout at a time"
         raise InputError("`planner`", shared, problem, "use one worker, without `ray`")
 
 
-def _announce(settings: BenchSettings, planner: Planner, console: Console) -> None:
+def _announce(settings: BenchSettings, planner: BasePlanner, console: Console) -> None:
     """Say what the planner gets to see: in the synthetic scenes, and in each log."""
     config = settings.run
     logs = {scene.id if scene.log else "synthetic": scene.log for scene in settings.scenes}
