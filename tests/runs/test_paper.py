@@ -8,8 +8,8 @@ import pytest
 
 from recast.core.errors import InputError
 from recast.logs import DrivingLog
-from recast.metrics.scene_level.files import PUBLISHED
 from recast.metrics.scene_level.scores import COLUMNS
+from recast.metrics.scene_level.summary import PUBLISHED
 from recast.runs.arm_words import parse_arms
 from recast.runs.config import resolve_config
 from recast.runs.paper import SEGMENTS, choose_target

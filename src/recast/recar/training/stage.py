@@ -26,9 +26,15 @@ from recast.recar.training.stage_config import FlowName
 from recast.recar.training.stage_parts import StageParts, StageRequest, open_stage
 from recast.recar.views import Image
 from recast.training.loop import Processes, train
-from recast.training.progress import TrainingBar, tensorboard_writer
 from recast.training.state import TrainingState, steps_done
-from recast.training.task import LOG_FILE, Means, TrainerSettings, read_log_lines
+from recast.training.task import (
+    LOG_FILE,
+    Means,
+    TrainerSettings,
+    TrainingBar,
+    read_log_lines,
+    tensorboard_writer,
+)
 from recast.trellis.checkpoints.pipeline_record import LATENT_FLOW, STRUCTURE_FLOW
 from recast.trellis.generation import Stopwatch
 
