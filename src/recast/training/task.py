@@ -27,6 +27,7 @@ _WHOLE = 2**32 - 1  # a part number that no part has
 Share = Annotated[float, Field(ge=0, lt=1)]
 LOG_FILE = "log.jsonl"
 _LINE: TypeAdapter[dict[str, int | float]] = TypeAdapter(dict[str, int | float])
+_SHOWN = ("loss", "held_out", "gap", "gradient")
 
 
 @dataclass(frozen=True)
@@ -227,9 +228,6 @@ def _line(where: str, text: str) -> dict[str, float]:
     if not {"step", "seconds"} <= values.keys():
         raise InputError(where, "line", "lacks step or seconds", mend)
     return values
-
-
-_SHOWN = ("loss", "held_out", "gap", "gradient")
 
 
 class TrainingBar(Bars):

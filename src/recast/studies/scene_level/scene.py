@@ -61,8 +61,6 @@ from recast.studies.scene_run import GridTask, RolloutTimes, SceneOutcome, Scene
 from recast.studies.worker import BenchWorker
 
 _LOG = logging.getLogger(__name__)
-
-
 FRAMES, REFERENCES, FEATURES = "frames", "references", "features"
 """Uses of artefacts; those of features have a name behind them."""
 REPLAY = "log-replay"
