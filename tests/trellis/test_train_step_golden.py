@@ -6,7 +6,7 @@ import pytest
 import torch
 from torch import Tensor, nn
 
-from recast.training.averages import AdaptiveGradClipper, ExponentialMovingAverage
+from recast.training.state import AdaptiveGradClipper, ExponentialMovingAverage
 from recast.trellis.flow_transformer import (
     SLatFlowConfig,
     SLatFlowModel,

@@ -49,9 +49,15 @@ from recast.recar.training_flow import (
 )
 from recast.recar.vehicle_set import SET_FILE
 from recast.training.loop import Processes, train
-from recast.training.progress import TrainingBar, tensorboard_writer
 from recast.training.state import TrainingState, steps_done
-from recast.training.task import LOG_FILE, Means, TrainerSettings, read_log_lines
+from recast.training.task import (
+    LOG_FILE,
+    Means,
+    TrainerSettings,
+    TrainingBar,
+    read_log_lines,
+    tensorboard_writer,
+)
 from recast.trellis import ImageTo3D
 from recast.trellis.checkpoints import BACKBONE_FOLDER, PipelineRecord
 from recast.trellis.generate import Stopwatch

@@ -33,17 +33,9 @@ from recast.scene.deformation import MOST_JOINTS, MOST_POSES, Skinning, check_tr
 from recast.splats import morton_order
 
 Members = Mapping[str, NDArray[Any]]
-
-
 MOST_VERTICES, MOST_SHAPES = 200_000, 1000
-
-
 MOST_BYTES = 2_000_000_000
-
-
 _MODEL_MEND = "save the arrays with numpy.savez; see docs/scenes.md#bodies-on-a-skeleton"
-
-
 _PARTS = ("timestamps_us", "betas", "global_orient", "body_pose", "transl")
 
 

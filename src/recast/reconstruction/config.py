@@ -21,12 +21,109 @@ from recast.core.records import Record, parse_record, validation_error
 from recast.scene.deformation import MOST_BANDS, MOST_CODE, MOST_LAYERS, MOST_WIDTH
 
 CONFIG_VERSION = 1
-
-
 Share = Annotated[float, Field(ge=0, le=1)]
-
-
 Count = Annotated[int, Field(ge=1)]
+Measure = Literal["signed", "absolute_norm", "absolute_l1"]
+"""Of a row's screen-space gradient in a view: the length of its sum over pixels (3DGS); or, with
+the components' sizes added up over pixels (AbsGS), their length (gsplat) or sum (Street Gaussians).
+"""
+Preset = Literal["streetgs", "omnire"]
+PUBLISHED_STEPS = 30_000
+EXPONENT = 0.75
+"""Rates grow with this power of how many times fewer the steps are: what trials on a CPU came to
+(six times the published rates at 2900 steps, twelve times at 1000)."""
+MOST = 12.0
+"""Times the published rate: more has not been tried."""
+MOST_METRES = 0.02
+"""Of a centre in one step: more has not been tried."""
+MOST_DEFORMATION_RATE = 3e-3
+"""Of the deformation network: 1e-2 was no better in trials on a CPU."""
+RESET_EVERY = 0.1
+"""Share of the run between resets of opacities."""
+LEAST_BETWEEN_RESETS = 300
+"""Steps: every view must be seen a few times before what was lowered is judged."""
+_RATES_OF_BOTH = {
+    "quats_lr": 1e-3,
+    "scales_lr": 5e-3,
+    "opacities_lr": 0.05,
+    "colours_lr": 2.5e-3,
+    "sky_lr": 0.01,
+    "actor_pose_lr": 5e-4,
+}
+_RATES: dict[Preset, dict[str, float]] = {
+    # Centres: 1.6e-4 times the scene's radius, which is 10 m (Street Gaussians' `extent`) and, of
+    # the LiDAR's bounds in OmniRe, about 50 m.
+    "streetgs": {**_RATES_OF_BOTH, "means_lr": 1.6e-3, "camera_pose_lr": 0.0},
+    "omnire": {
+        **_RATES_OF_BOTH,
+        "means_lr": 8e-3,
+        "camera_pose_lr": 1e-4,
+        "exposure_lr": 5e-4,
+        "deformation_lr": 8e-4,
+    },
+}
+_OF_BOTH: dict[str, Any] = {
+    "sky": "cubemap",
+    "sky_loss": "entropy",
+    "sky_weight": 0.05,
+    "depth_error": "metric",
+    # Opacity is the entropy's, and roads are like the rest of the scene.
+    "solid_weight": 0.0,
+    "ground_tolerance_m": 0.0,
+    # Adaptive density control of 3DGS: every row above the threshold.
+    "densify_growth": 1e3,
+    "densify_from": 1 / 60,
+    "prune_opacity": 0.005,
+}
+_VALUES: dict[Preset, dict[str, Any]] = {
+    "streetgs": {
+        **_OF_BOTH,
+        "sh_degree": 1,
+        "fourier_terms": 5,
+        "flip_probability": 0.2,
+        "coarse_fraction": 0.0,
+        "depth_keep": 0.95,
+        "depth_weight": 0.1,
+        "actor_opacity_weight": 0.1,
+        "densify_until": 25 / 30,
+        "opacity_reset_until": 25 / 30,
+        "densify_by": "absolute_l1",
+        "densify_gradient": 6e-4,
+        "actor_densify_by": "signed",
+        "actor_densify_gradient": 2e-4,
+        "split_above_m": 0.1,
+        "prune_above_m": 1.0,
+        # Of a car of 4.5 m: 0.01 and 0.1 times max(1.5 l, 1.5 w, h) / 2.
+        "actor_split_above_m": 0.034,
+        "actor_prune_above_m": 0.34,
+    },
+    "omnire": {
+        **_OF_BOTH,
+        "sh_degree": 3,
+        "deformable": True,
+        "coarse_fraction": 1 / 60,
+        "coarse_factors": (4, 2),
+        "depth_keep": 1.0,
+        "depth_weight": 0.01,
+        "sharp_shape_weight": 1.0,
+        "track_smoothness_weight": 0.01,
+        "exposure_weight": 1e-5,
+        "densify_until": 0.5,
+        # As at the published steps, a tenth of the run is left after the last one.
+        "opacity_reset_until": 1 - RESET_EVERY,
+        # A step an image, at least 100; a third of the time between resets holds 1000 images at the
+        # published steps, and leaves short runs two changes of three.
+        "densify_pause": 1 / 3,
+        "densify_by": "absolute_norm",
+        "densify_gradient": 5e-4,
+        "actor_densify_by": "absolute_norm",
+        "actor_densify_gradient": 5e-4,
+        "split_above_m": 0.15,
+        "actor_split_above_m": 0.15,
+        "prune_above_m": 25.0,
+        "actor_prune_above_m": 5.0,
+    },
+}
 
 
 class SceneConfig(Record):
@@ -220,133 +317,6 @@ def parse_config(where: str | Path, value: Any) -> SceneConfig:
 def write_config(config: SceneConfig, path: str | Path) -> None:
     """Write `config` as JSON."""
     write_json(path, config.model_dump(mode="json"))
-
-
-Measure = Literal["signed", "absolute_norm", "absolute_l1"]
-"""Of a row's screen-space gradient in a view: the length of its sum over pixels (3DGS); or, with
-the components' sizes added up over pixels (AbsGS), their length (gsplat) or sum (Street Gaussians).
-"""
-
-
-Preset = Literal["streetgs", "omnire"]
-
-
-PUBLISHED_STEPS = 30_000
-
-
-EXPONENT = 0.75
-"""Rates grow with this power of how many times fewer the steps are: what trials on a CPU came to
-(six times the published rates at 2900 steps, twelve times at 1000)."""
-
-
-MOST = 12.0
-"""Times the published rate: more has not been tried."""
-
-
-MOST_METRES = 0.02
-"""Of a centre in one step: more has not been tried."""
-
-
-MOST_DEFORMATION_RATE = 3e-3
-"""Of the deformation network: 1e-2 was no better in trials on a CPU."""
-
-
-RESET_EVERY = 0.1
-"""Share of the run between resets of opacities."""
-
-
-LEAST_BETWEEN_RESETS = 300
-"""Steps: every view must be seen a few times before what was lowered is judged."""
-
-
-_RATES_OF_BOTH = {
-    "quats_lr": 1e-3,
-    "scales_lr": 5e-3,
-    "opacities_lr": 0.05,
-    "colours_lr": 2.5e-3,
-    "sky_lr": 0.01,
-    "actor_pose_lr": 5e-4,
-}
-
-
-_RATES: dict[Preset, dict[str, float]] = {
-    # Centres: 1.6e-4 times the scene's radius, which is 10 m (Street Gaussians' `extent`) and, of
-    # the LiDAR's bounds in OmniRe, about 50 m.
-    "streetgs": {**_RATES_OF_BOTH, "means_lr": 1.6e-3, "camera_pose_lr": 0.0},
-    "omnire": {
-        **_RATES_OF_BOTH,
-        "means_lr": 8e-3,
-        "camera_pose_lr": 1e-4,
-        "exposure_lr": 5e-4,
-        "deformation_lr": 8e-4,
-    },
-}
-
-
-_OF_BOTH: dict[str, Any] = {
-    "sky": "cubemap",
-    "sky_loss": "entropy",
-    "sky_weight": 0.05,
-    "depth_error": "metric",
-    # Opacity is the entropy's, and roads are like the rest of the scene.
-    "solid_weight": 0.0,
-    "ground_tolerance_m": 0.0,
-    # Adaptive density control of 3DGS: every row above the threshold.
-    "densify_growth": 1e3,
-    "densify_from": 1 / 60,
-    "prune_opacity": 0.005,
-}
-
-
-_VALUES: dict[Preset, dict[str, Any]] = {
-    "streetgs": {
-        **_OF_BOTH,
-        "sh_degree": 1,
-        "fourier_terms": 5,
-        "flip_probability": 0.2,
-        "coarse_fraction": 0.0,
-        "depth_keep": 0.95,
-        "depth_weight": 0.1,
-        "actor_opacity_weight": 0.1,
-        "densify_until": 25 / 30,
-        "opacity_reset_until": 25 / 30,
-        "densify_by": "absolute_l1",
-        "densify_gradient": 6e-4,
-        "actor_densify_by": "signed",
-        "actor_densify_gradient": 2e-4,
-        "split_above_m": 0.1,
-        "prune_above_m": 1.0,
-        # Of a car of 4.5 m: 0.01 and 0.1 times max(1.5 l, 1.5 w, h) / 2.
-        "actor_split_above_m": 0.034,
-        "actor_prune_above_m": 0.34,
-    },
-    "omnire": {
-        **_OF_BOTH,
-        "sh_degree": 3,
-        "deformable": True,
-        "coarse_fraction": 1 / 60,
-        "coarse_factors": (4, 2),
-        "depth_keep": 1.0,
-        "depth_weight": 0.01,
-        "sharp_shape_weight": 1.0,
-        "track_smoothness_weight": 0.01,
-        "exposure_weight": 1e-5,
-        "densify_until": 0.5,
-        # As at the published steps, a tenth of the run is left after the last one.
-        "opacity_reset_until": 1 - RESET_EVERY,
-        # A step an image, at least 100; a third of the time between resets holds 1000 images at the
-        # published steps, and leaves short runs two changes of three.
-        "densify_pause": 1 / 3,
-        "densify_by": "absolute_norm",
-        "densify_gradient": 5e-4,
-        "actor_densify_by": "absolute_norm",
-        "actor_densify_gradient": 5e-4,
-        "split_above_m": 0.15,
-        "actor_split_above_m": 0.15,
-        "prune_above_m": 25.0,
-        "actor_prune_above_m": 5.0,
-    },
-}
 
 
 def preset_values(name: Preset, iterations: int) -> dict[str, Any]:

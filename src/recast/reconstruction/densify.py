@@ -24,6 +24,8 @@ if TYPE_CHECKING:
     from recast.reconstruction.step import TrainableScene
 
 FIELDS = ("means", "quats", "log_scales", "logit_opacities", "sh")
+BUDGET_FILE = "budget.json"
+BUDGET_VERSION = 1
 
 
 def rows(gaussians: Gaussians) -> dict[str, Tensor]:
@@ -357,12 +359,6 @@ def _upright(quats: Tensor, axis: Tensor, normal: Tensor) -> Tensor:
     now = torch.where(cosine < 0, -now, now)
     turn = torch.cat([1 + cosine.abs(), torch.linalg.cross(now, normal)], dim=1)
     return quat_multiply(torch.nn.functional.normalize(turn, dim=1), quats)
-
-
-BUDGET_FILE = "budget.json"
-
-
-BUDGET_VERSION = 1
 
 
 class Budget(Record):

@@ -49,11 +49,7 @@ from recast.scene.street_scene import StreetScene
 
 MIN_BOX_PX = 8
 """Boxes with a shorter edge than this in the image are not scored: too few pixels."""
-
-
 EVALUATION_FILE = "eval.json"
-
-
 PICTURED_MOMENTS = 3
 """Held-out moments, spread over the drive, at which shifted views are written as pictures."""
 

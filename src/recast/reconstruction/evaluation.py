@@ -18,6 +18,8 @@ from recast.scene.poses import pose_at
 
 CAMERA_CLEARANCE_M = 0.3
 """Between a shifted camera and any labelled box."""
+EVALUATION_VERSION = 3
+"""2 has all members of 1, and lpips, moving, depth, shifts and shift_truth; 3 a picture a frame."""
 
 
 @dataclass(frozen=True)
@@ -152,10 +154,6 @@ def _inside_a_box(log: DrivingLog, point: Array, timestamp_us: int) -> bool:
         if boxes.contains(point[None], track.size, pose, CAMERA_CLEARANCE_M)[0]:
             return True
     return False
-
-
-EVALUATION_VERSION = 3
-"""2 has all members of 1, and lpips, moving, depth, shifts and shift_truth; 3 a picture a frame."""
 
 
 @dataclass(frozen=True)

@@ -23,39 +23,25 @@ from recast.scene.poses import moves, pose_at
 from recast.scene.render import SceneImage
 
 WINDOW = 11
-
-
 SIGMA = 1.5
-
-
 C1 = 0.01**2
-
-
 C2 = 0.03**2
-
-
 Distance = Callable[[Array, Array], float]
 """A distance of two images (H, W, 3) in [0, 1], at least 32 pixels wide and high: LPIPS."""
-
-
 Rectangle = tuple[int, int, int, int]
 """Left, top, right, bottom in whole pixels; right and bottom are one past the last."""
-
-
 BOX_GROWTH = (1.5, 1.5, 1.0)
 """Of length, width and height: what a moving object's pixels are taken from."""
-
-
 MIN_MOVING_PX = 64
 """Images with fewer moving pixels have no score for them."""
-
-
 LPIPS_SIDE = 64
 """Rectangles are grown to this before LPIPS looks at them."""
-
-
 PSNR_CAP = 100.0
 """dB given to equal pixels; JSON knows no infinity."""
+SWEEP_REACH_US = 120_000
+"""Sweeps further from an image in time are not its own: KITTI's may miss every other frame."""
+SURFACE_ALPHA = 0.5
+"""Where the scene covers less of a pixel, it has no surface there."""
 
 
 def psnr(image: ArrayLike | Tensor, reference: ArrayLike | Tensor) -> float:
@@ -251,14 +237,6 @@ def _grown(first: int, last: int, limit: int) -> slice:
     length = min(max(last - first, LPIPS_SIDE), limit)
     start = min(max((first + last - length) // 2, 0), limit - length)
     return slice(start, start + length)
-
-
-SWEEP_REACH_US = 120_000
-"""Sweeps further from an image in time are not its own: KITTI's may miss every other frame."""
-
-
-SURFACE_ALPHA = 0.5
-"""Where the scene covers less of a pixel, it has no surface there."""
 
 
 @dataclass(frozen=True)

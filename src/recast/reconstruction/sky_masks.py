@@ -23,11 +23,7 @@ from recast.reconstruction.views import DepthSamples, TrainingView, fit_mask, ne
 
 _WAYMO = tuple(CAMERA_NAME.names.values())
 """Waymo's cameras by their number in names of files."""
-
-
 _FILE = re.compile(r"(\d+)_(.+)\.png", re.IGNORECASE)
-
-
 _NAMES = "name them FRAME_CAMERA.png, with the log's name of the camera or Waymo's number of it"
 
 

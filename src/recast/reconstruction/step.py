@@ -49,6 +49,10 @@ from recast.scene.poses import DEFORMABLE
 from recast.scene.street_scene import StreetScene
 from recast.splats import Gaussians, RasterMeta, RowAdam, concatenate, rasterize
 
+Shape = Callable[[Gaussians], Gaussians]
+STATES = ("background_adam", "local_adam", "background_statistics", "local_statistics")
+"""Members of `TrainableScene` that a checkpoint holds beside the parameters."""
+
 
 @dataclass(frozen=True)
 class StepReport:
@@ -279,13 +283,6 @@ class Trainer:
             appearance=appearance,
             deformation=deformation,
         )
-
-
-Shape = Callable[[Gaussians], Gaussians]
-
-
-STATES = ("background_adam", "local_adam", "background_statistics", "local_statistics")
-"""Members of `TrainableScene` that a checkpoint holds beside the parameters."""
 
 
 class TrainableScene:

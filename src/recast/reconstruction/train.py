@@ -42,12 +42,12 @@ from recast.scene.street_scene import StreetScene
 from recast.splats import Gaussians, pick_device, set_threads
 
 WORK_FOLDER = "work"
-
-
 HISTORY_FILE = "history.json"
-
-
 REPORT_EVERY = 10
+CONFIG_FILE = "config.json"
+SOURCE_FILE = "source.json"
+FREE_FIELDS = frozenset({"threads", "evaluate_every", "checkpoint_every"})
+"""Fields that may differ when a run is taken up again: they do not change what is learned."""
 
 
 @dataclass(frozen=True)
@@ -242,16 +242,6 @@ class _Run:
                 seconds_left=left,
             )
         )
-
-
-CONFIG_FILE = "config.json"
-
-
-SOURCE_FILE = "source.json"
-
-
-FREE_FIELDS = frozenset({"threads", "evaluate_every", "checkpoint_every"})
-"""Fields that may differ when a run is taken up again: they do not change what is learned."""
 
 
 class TrainingSource(Record):

@@ -20,11 +20,14 @@ from recast.splats.gaussians import LARGEST, quat_multiply
 
 OUTPUTS = 7
 """Metres along x, y and z, and what is added to the quaternion."""
-
-
 TIME_UNIT_US = 20_000_000
 """Microseconds after the first label that are 1 for the network: the length of Waymo's segments, of
 which OmniRe's time is a share, so that its octaves are the same frequencies."""
+MOST_LAYERS, MOST_WIDTH, MOST_BANDS, MOST_CODE = 16, 1024, 16, 256
+"""Limits of the deformation network."""
+MOST_JOINTS, MOST_POSES = 256, 1_000_000
+UNIT_TOLERANCE = 1e-3
+"""How far the weights of a Gaussian may be from adding up to 1, and a quaternion from length 1."""
 
 
 @dataclass(frozen=True)
@@ -162,17 +165,6 @@ def layer_shapes(
 
 def _linear(values: Tensor, layer: Tensor) -> Tensor:
     return functional.linear(values, layer[:, :-1], layer[:, -1])
-
-
-MOST_LAYERS, MOST_WIDTH, MOST_BANDS, MOST_CODE = 16, 1024, 16, 256
-"""Limits of the deformation network."""
-
-
-MOST_JOINTS, MOST_POSES = 256, 1_000_000
-
-
-UNIT_TOLERANCE = 1e-3
-"""How far the weights of a Gaussian may be from adding up to 1, and a quaternion from length 1."""
 
 
 @dataclass(frozen=True)

@@ -18,17 +18,9 @@ from recast.scene.street_scene import StreetScene
 from recast.splats.formats import format_named, write_gaussians
 
 EXPORT_VERSION = 1
-
-
 EXPORT_FORMAT = "recast-scene-export"
-
-
 RECORD_FILE, SKY_FILE = "scene.json", "sky.png"
-
-
 BACKGROUND, MERGED = "background", "merged"
-
-
 CONVENTIONS = {
     "units": "metres; timestamps in microseconds",
     "world": "z up; coordinates of the dataset = coordinates here + world_offset",

@@ -30,14 +30,8 @@ from recast.splats.formats import format_of, read_gaussians
 
 TEXT_LIMIT = 1 << 16
 """Bytes of a file of a few numbers, at most."""
-
-
 IMPORT_VERSION = 1
-
-
 IMPORT_FILE = "import.json"
-
-
 MATCHED_SHARE = 0.5
 """With fewer ego positions within the background's bounds the frames are taken to differ."""
 

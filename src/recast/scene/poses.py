@@ -13,18 +13,10 @@ from recast.logs import Trajectory
 
 DEFORMABLE = frozenset({"pedestrian"})
 """Categories that are not symmetric at every moment."""
-
-
 ARTICULATED = frozenset({"pedestrian", "cyclist"})
 """Categories that have limbs: what deformable nodes are for."""
-
-
 MOVED_M = 2.0
-
-
 SPREAD_M = 0.5
-
-
 CLOCK_TOLERANCE_US = 60_000
 """Sensors of one frame fire up to half a period of 10 Hz (and a little) apart."""
 

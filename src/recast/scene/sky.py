@@ -30,27 +30,15 @@ from recast.kernel import KernelSky, library
 from recast.splats.native.rasterizer import empty, takes
 
 HEIGHT, WIDTH = 128, 512
-
-
 NODE_PX = 8
-
-
 OPAQUE = 1.0 - 1.0 / 255.0
 """Pixels more opaque than this show no sky: what is lost is below one grey level."""
-
-
 MOST_PIXELS = 1 << 25
 """Most pixels of a sky image: 8192 x 4096, 0.04 degrees a column."""
-
-
 MAX_WIDTH = 2048
 """Of the map made: 0.18 degrees a column, 25 MB."""
-
-
 FINER = 2
 """Samples a cell along each axis, whose mean its colour is."""
-
-
 _AXES = (
     (0, 2, 1, -1, -1),
     (0, 2, 1, 1, -1),

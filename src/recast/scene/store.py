@@ -29,20 +29,10 @@ from recast.scene.street_scene import StreetScene
 from recast.splats import CLASSIC, Gaussians, LowPass, read_ply, write_ply
 
 HEADER = "recast"
-
-
 DEFORMATION_FILE = "deformation.safetensors"
-
-
 DEFORMATION_VERSION = 1
-
-
 BODIES_FILE = "bodies.safetensors"
-
-
 BODIES_VERSION = 1
-
-
 _BODY_TYPES = {
     "weights": torch.float32,
     "joints": torch.float64,
@@ -51,6 +41,10 @@ _BODY_TYPES = {
     "rotations": torch.float64,
     "translations": torch.float64,
 }
+SCENE_VERSION = 1
+SCENE_FILE = "scene.json"
+TENSOR_FILE = "scene.safetensors"
+_MEND = "train the scene again, or use the release that wrote it"
 
 
 def write_tensors(path: Path, tensors: Mapping[str, Tensor], header: Mapping[str, Any]) -> None:
@@ -188,18 +182,6 @@ def _require(path: Path, tensors: Mapping[str, Tensor], wanted: set[str], mend: 
     if wrong:
         problem = "is not expected" if wrong[0] in tensors else "is missing"
         raise InputError(path, wrong[0], problem, mend)
-
-
-SCENE_VERSION = 1
-
-
-SCENE_FILE = "scene.json"
-
-
-TENSOR_FILE = "scene.safetensors"
-
-
-_MEND = "train the scene again, or use the release that wrote it"
 
 
 class SceneActorRecord(Record):

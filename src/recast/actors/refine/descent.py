@@ -31,6 +31,8 @@ from recast.splats import Gaussians, LowPass, concatenate
 from recast.splats.gaussians import quat_multiply, quat_to_matrix
 
 FIELDS = ("means", "quats", "log_scales", "logit_opacities", "sh")
+Step = Callable[[], None]
+_MIRRORS = 7  # stream of random numbers
 
 
 class Bend:
@@ -209,11 +211,6 @@ def split(gaussians: Gaussians, whole: Tensor, first: Tensor, second: Tensor) ->
             )
         )
     return concatenate(parts)
-
-
-Step = Callable[[], None]
-
-_MIRRORS = 7  # stream of random numbers
 
 
 @dataclass(frozen=True)

@@ -1,7 +1,9 @@
-"""The table of the scene-level evaluation: means and Frechet distances with intervals over scenes.
+"""The table of the scene-level evaluation, and its files.
 
-Scenes are drawn whole, and the same draws serve all arms, columns and differences (section 7 of the
-protocol in docs/scene_level.md). Files: scene_level.parquet, results.json and table.md."""
+Means and Frechet distances have intervals over scenes. Scenes are drawn whole, and the same draws
+serve all arms, columns and differences (section 7 of the protocol in docs/scene_level.md). Files
+are scene_level.parquet, results.json and table.md.
+"""
 
 from __future__ import annotations
 
@@ -23,6 +25,32 @@ from recast.metrics.scene_level.scores import COLUMNS, IMAGE_SCORES, Features, i
 from recast.metrics.table import cluster_bootstrap, rounded
 
 _LEVEL = 0.95
+_COLUMNS = ("fd_scene", "clip_margin", "vqa_margin", "fd_crop", "clip_img", "clip_veh", "lpips")
+_ROWS = {
+    "streetgs": (129.35, 0.14, -294.91, 193.56, 65.43, 20.62, 0.6920),
+    "streetgs+TRELLIS": (112.84, 2.86, -172.36, 126.14, 69.54, 21.28, 0.6809),
+    "streetgs+AssetHarvester": (110.00, 1.95, -156.42, 124.61, 70.17, 21.03, 0.6818),
+    "omnire": (138.52, 0.04, -314.18, 197.41, 65.72, 20.87, 0.6931),
+    "omnire+TRELLIS": (121.47, 2.93, -216.82, 133.04, 69.99, 21.32, 0.6824),
+    "omnire+AssetHarvester": (119.10, 1.96, -197.11, 129.11, 70.23, 21.11, 0.6823),
+    "recast": (112.10, 3.47, -131.04, 124.74, 70.67, 21.43, 0.6800),
+}
+PUBLISHED: Mapping[str, Mapping[str, float]] = {
+    arm: dict(zip(_COLUMNS, values, strict=True)) for arm, values in _ROWS.items()
+}
+"""Published values by arm and column, on the nine Waymo scenes."""
+_RECTANGLE = ("left", "top", "right", "bottom")
+SCHEMA = pa.schema(
+    [
+        *((name, pa.string()) for name in ("arm", "scene", "motion", "setting")),
+        ("step", pa.int64()),
+        ("camera", pa.string()),
+        *((name, pa.int64()) for name in _RECTANGLE),
+        ("drawn", pa.bool_()),
+        *((name, pa.float64()) for name in IMAGE_SCORES),
+    ]
+)
+"""Columns of scene_level.parquet; scores without weights, and of images not drawn, are null."""
 
 
 @dataclass(frozen=True)
@@ -69,6 +97,7 @@ class Value:
     """A number of the table.
 
     Attributes:
+        value: value over all images.
         low, high: interval of 95 % over scenes.
         scene_mean: mean of the scenes' means; None for a Frechet distance.
         difference: difference from the first arm with its interval; None for the first arm, and for
@@ -84,7 +113,12 @@ class Value:
 
 @dataclass(frozen=True)
 class LevelRow:
-    """A line of the table."""
+    """A line of the table.
+
+    Attributes:
+        images: number of images.
+        values: values by column.
+    """
 
     arm: str
     images: int
@@ -92,7 +126,11 @@ class LevelRow:
 
 
 def summarise(
-    scenes: Mapping[str, MeasuredScene], control: str, samples: int, frechet_samples: int, seed: int
+    scenes: Mapping[str, MeasuredScene],
+    control: str,
+    samples: int,
+    frechet_samples: int,
+    seed: int,
 ) -> list[LevelRow]:
     """A line for each arm, in order, then one of the control.
 
@@ -212,34 +250,6 @@ def _arms(scenes: Mapping[str, MeasuredScene]) -> Sequence[str]:
     if len(set(names)) > 1:
         raise InputError("scene-level", "arms", "differ between scenes", "measure all arms again")
     return names[0]
-
-
-_COLUMNS = ("fd_scene", "clip_margin", "vqa_margin", "fd_crop", "clip_img", "clip_veh", "lpips")
-_ROWS = {
-    "streetgs": (129.35, 0.14, -294.91, 193.56, 65.43, 20.62, 0.6920),
-    "streetgs+TRELLIS": (112.84, 2.86, -172.36, 126.14, 69.54, 21.28, 0.6809),
-    "streetgs+AssetHarvester": (110.00, 1.95, -156.42, 124.61, 70.17, 21.03, 0.6818),
-    "omnire": (138.52, 0.04, -314.18, 197.41, 65.72, 20.87, 0.6931),
-    "omnire+TRELLIS": (121.47, 2.93, -216.82, 133.04, 69.99, 21.32, 0.6824),
-    "omnire+AssetHarvester": (119.10, 1.96, -197.11, 129.11, 70.23, 21.11, 0.6823),
-    "recast": (112.10, 3.47, -131.04, 124.74, 70.67, 21.43, 0.6800),
-}
-PUBLISHED: Mapping[str, Mapping[str, float]] = {
-    arm: dict(zip(_COLUMNS, values, strict=True)) for arm, values in _ROWS.items()
-}
-"""Published values by arm and column, on the nine Waymo scenes."""
-_RECTANGLE = ("left", "top", "right", "bottom")
-SCHEMA = pa.schema(
-    [
-        *((name, pa.string()) for name in ("arm", "scene", "motion", "setting")),
-        ("step", pa.int64()),
-        ("camera", pa.string()),
-        *((name, pa.int64()) for name in _RECTANGLE),
-        ("drawn", pa.bool_()),
-        *((name, pa.float64()) for name in IMAGE_SCORES),
-    ]
-)
-"""Columns of scene_level.parquet; scores without weights, and of images not drawn, are null."""
 
 
 def write_images(scenes: Mapping[str, MeasuredScene], path: Path) -> None:

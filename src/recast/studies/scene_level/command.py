@@ -47,11 +47,15 @@ from recast.runs.run_folder import use_name
 from recast.studies.closed_loop import broken_name, check_grid
 from recast.studies.grid import RESULTS_FILE, begin
 from recast.studies.scene_level.request import LevelSettings
-from recast.studies.scene_level.scene import FEATURES, FRAMES, REFERENCES, REPLAY, shown_file
-from recast.studies.scene_level.worker import (
+from recast.studies.scene_level.scene import (
+    FEATURES,
+    FRAMES,
+    REFERENCES,
+    REPLAY,
     LevelTasks,
     LevelWorker,
     measured,
+    shown_file,
 )
 from recast.studies.scene_run import GridTask, SceneOutcome
 from recast.studies.schedule import Workers
