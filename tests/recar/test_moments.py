@@ -23,12 +23,7 @@ from recast.recar.targets import build_targets
 from recast.training.loop import train
 from support.line_task import SETTINGS as TRAINING
 from support.line_task import Line
-from support.moments import (
-    changes_of,
-    killed_before,
-    said_on_a_full_disk,
-    said_on_a_read_only_disk,
-)
+from support.moments import changes_of, killed_before, said_on_a_full_disk, said_on_a_read_only_disk
 from support.target_places import SETTINGS as TARGETS
 from support.target_places import Places
 from support.tiny_stage import TinyStage, train_quietly, write_tiny_stage

@@ -172,13 +172,7 @@ class RecarSynth:
         from recast.recar import SynthesisSettings, synthesize_set
 
         settings = SynthesisSettings(
-            self.seed,
-            self.views,
-            self.width,
-            self.height,
-            self.kinds,
-            self.licence,
-            self.held_out,
+            self.seed, self.views, self.width, self.height, self.kinds, self.licence, self.held_out
         )
         console = console_for(False)
         with ProgressBar("pictures", console) as progress:

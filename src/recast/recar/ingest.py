@@ -187,12 +187,9 @@ class _Ingest:
             if identity is None:
                 left.append(candidate)
             elif identity.record != self._record(candidate.row):
-                raise InputError(
-                    identity.folder / IDENTITY_FILE,
-                    "record",
-                    "differs from its row in the table",
-                    "delete the folder to have it made again",
-                )
+                problem = "differs from its row in the table"
+                mend = "delete the folder to have it made again"
+                raise InputError(identity.folder / IDENTITY_FILE, "record", problem, mend)
         asked = {candidate.row.id for candidate in left}
         for name, identity in finished.items():
             if name not in asked:  # also one whose photographs have gone since

@@ -66,12 +66,9 @@ def photographs_of(photos: Path, row: VehicleRow, settings: IngestSettings) -> t
     if len(found) != settings.views:
         others = len(files) - len(found)
         looked = f" ({others} other files were ignored)" if others else ""
-        raise InputError(
-            folder,
-            "photographs",
-            f"are {len(found)}, but the set has {settings.views} views{looked}",
-            "add the missing azimuths, or give `views`",
-        )
+        problem = f"are {len(found)}, but the set has {settings.views} views{looked}"
+        mend = "add the missing azimuths, or give `views`"
+        raise InputError(folder, "photographs", problem, mend)
     ordered = (
         _by_azimuth(folder, found, row) if row.azimuths_deg else _by_order(found, row, settings)
     )
@@ -81,12 +78,8 @@ def photographs_of(photos: Path, row: VehicleRow, settings: IngestSettings) -> t
 
 def _by_order(found: list[Path], row: VehicleRow, settings: IngestSettings) -> list[Path]:
     if row.front > len(found):
-        raise InputError(
-            row.id,
-            "front",
-            f"is {row.front}, but there are {len(found)} photographs",
-            "count from 1",
-        )
+        problem = f"is {row.front}, but there are {len(found)} photographs"
+        raise InputError(row.id, "front", problem, "count from 1")
     turned = found[row.front - 1 :] + found[: row.front - 1]
     return [turned[0], *reversed(turned[1:])] if settings.clockwise else turned
 
@@ -94,24 +87,16 @@ def _by_order(found: list[Path], row: VehicleRow, settings: IngestSettings) -> l
 def _by_azimuth(folder: Path, found: list[Path], row: VehicleRow) -> list[Path]:
     azimuths: Sequence[float] = row.azimuths_deg or ()
     if len(azimuths) != len(found):
-        raise InputError(
-            folder,
-            "azimuths_deg",
-            f"are {len(azimuths)} for {len(found)} photographs",
-            "give one azimuth for each photograph",
-        )
+        problem = f"are {len(azimuths)} for {len(found)} photographs"
+        raise InputError(folder, "azimuths_deg", problem, "give one azimuth for each photograph")
     step = 360 / len(found)
     places: dict[int, Path] = {}
     for path, azimuth in zip(found, azimuths, strict=True):
         place = round(azimuth / step) % len(found)
         off = (azimuth - place * step + 180) % 360 - 180
         if abs(off) > AZIMUTH_WITHIN * step or place in places:
-            raise InputError(
-                path,
-                "azimuth",
-                f"{azimuth:g} is not regular: expected one at every {step:g} degrees from 0",
-                "take the photographs at regular azimuths",
-            )
+            problem = f"{azimuth:g} is not regular: expected one at every {step:g} degrees from 0"
+            raise InputError(path, "azimuth", problem, "take the photographs at regular azimuths")
         places[place] = path
     return [places[place] for place in range(len(found))]
 
@@ -126,12 +111,9 @@ def check_sizes(paths: Sequence[Path], settings: IngestSettings) -> None:
     for path in paths:
         size = photograph_size(path)
         if size != (width, height):
-            raise InputError(
-                path,
-                "size",
-                f"is {size[0]}x{size[1]}, but {paths[0].name} has {width}x{height}",
-                "give all photographs of a vehicle the same size",
-            )
+            problem = f"is {size[0]}x{size[1]}, but {paths[0].name} has {width}x{height}"
+            mend = "give all photographs of a vehicle the same size"
+            raise InputError(path, "size", problem, mend)
     scale = min(settings.width / width, settings.height / height)
     if settings.fov_deg is not None and round(width * scale) != settings.width:
         raise InputError(
@@ -263,12 +245,8 @@ def pick_photographs(
     folder = member(photos, row.folder or row.id, row.id, "folder")
     found = _photographs(folder)
     if len(found) < views:
-        raise InputError(
-            folder,
-            "photographs",
-            f"are {len(found)}, but the set has {views} views",
-            "give fewer `views`",
-        )
+        problem = f"are {len(found)}, but the set has {views} views"
+        raise InputError(folder, "photographs", problem, "give fewer `views`")
     known, azimuths, elevations = _directions(folder, found, row)
     taken, off = _nearest(folder, azimuths, elevations, views, within_deg)
     photographs = tuple(known[index] for index in taken)
@@ -334,36 +312,22 @@ def _directions(
     """Photographs whose direction is known, their azimuths and elevations in degrees."""
     if row.azimuths_deg is not None:
         if len(row.azimuths_deg) != len(found):
-            raise InputError(
-                folder,
-                "azimuths_deg",
-                f"are {len(row.azimuths_deg)} for {len(found)} photographs",
-                "give one azimuth for each photograph",
-            )
+            problem = f"are {len(row.azimuths_deg)} for {len(found)} photographs"
+            mend = "give one azimuth for each photograph"
+            raise InputError(folder, "azimuths_deg", problem, mend)
         return found, np.array(row.azimuths_deg) % 360.0, np.zeros(len(found))
     poses = read_poses(folder)
     if poses is None:
-        raise InputError(
-            folder,
-            "poses",
-            "are missing",
-            "add transforms.json or COLMAP's images.txt, or give azimuths_deg in the table",
-        )
+        mend = "add transforms.json or COLMAP's images.txt, or give azimuths_deg in the table"
+        raise InputError(folder, "poses", "are missing", mend)
     if "front" not in row.model_fields_set:
-        raise InputError(
-            row.id,
-            "front",
-            "is missing: poses do not say where the front of the vehicle is",
-            "give the number of the photograph that shows its front, from 1",
-        )
+        problem = "is missing: poses do not say where the front of the vehicle is"
+        mend = "give the number of the photograph that shows its front, from 1"
+        raise InputError(row.id, "front", problem, mend)
     known = [path for path in found if path.name in poses]
     if row.front > len(found) or found[row.front - 1] not in known:
-        raise InputError(
-            row.id,
-            "front",
-            f"is {row.front}, but that photograph has no pose (of {len(found)} photographs)",
-            "give the number of another photograph",
-        )
+        problem = f"is {row.front}, but that photograph has no pose (of {len(found)} photographs)"
+        raise InputError(row.id, "front", problem, "give the number of another photograph")
     stacked = np.stack([poses[path.name] for path in known])
     try:
         return known, *around(stacked, known.index(found[row.front - 1]))
@@ -383,12 +347,9 @@ def _nearest(
         fits = off <= within_deg
         fits[taken] = False
         if not fits.any():
-            raise InputError(
-                folder,
-                "azimuths",
-                f"no photograph is within {within_deg:g} degrees of {goal:g}",
-                "give fewer `views`, or a larger `azimuth_within`",
-            )
+            problem = f"no photograph is within {within_deg:g} degrees of {goal:g}"
+            mend = "give fewer `views`, or a larger `azimuth_within`"
+            raise InputError(folder, "azimuths", problem, mend)
         taken.append(int(np.argmin(np.where(fits, off + unlike, np.inf))))
         worst = max(worst, float(off[taken[-1]]))
     return taken, worst

@@ -177,12 +177,8 @@ def prepare(
     stacked = np.stack(hashes)
     if twice := first_twice(stacked, settings.duplicate_bits):
         first, second = (candidate.photographs[index] for index in twice)
-        raise InputError(
-            second,
-            "duplicate",
-            f"is the same image as {first.name}",
-            "replace one of them; if both are right, lower `duplicate_bits`",
-        )
+        mend = "replace one of them; if both are right, lower `duplicate_bits`"
+        raise InputError(second, "duplicate", f"is the same image as {first.name}", mend)
     doubts += outline_doubts(alphas, [path.name for path in candidate.photographs])
     return Prepared(tuple(pictures), stacked, tuple(doubts))
 

@@ -220,20 +220,13 @@ class TargetCache:
             raise InputError(folder, "target cache", "is missing", "check the path")
         record = read_record(folder / CACHE_FILE, CacheRecord, CACHE_VERSION, MEND, CACHE_FORMAT)
         if complete and not record.complete:
-            raise InputError(
-                folder / CACHE_FILE,
-                "complete",
-                "is false: targets are still being made",
-                "run the command that makes them again; it resumes",
-            )
+            problem = "is false: targets are still being made"
+            mend = "run the command that makes them again; it resumes"
+            raise InputError(folder / CACHE_FILE, "complete", problem, mend)
         records = read_records(folder)
         if record.complete and len(records) != record.identities:
-            raise InputError(
-                folder / RECORDS,
-                "records",
-                f"{len(records)}, but cache.json counts {record.identities}",
-                "make the targets again",
-            )
+            problem = f"{len(records)}, but cache.json counts {record.identities}"
+            raise InputError(folder / RECORDS, "records", problem, "make the targets again")
         decisions = read_decisions(folder, records)
         return cls(folder, record, dict(sorted(records.items())), decisions)
 
@@ -287,13 +280,11 @@ class TargetCache:
             raise InputError(latent_path, "arrays", str(error), MEND) from None
         voxels, largest = self.records[identity].voxels, target.coords.max()
         if len(target.latent) != voxels or largest >= model.resolution:
-            raise InputError(
-                latent_path,
-                "coords",
+            problem = (
                 f"are {len(target.coords)} voxels up to {largest}, expected {voxels} below "
-                f"{model.resolution}",
-                MEND,
+                f"{model.resolution}"
             )
+            raise InputError(latent_path, "coords", problem, MEND)
         return target
 
     def write_target(

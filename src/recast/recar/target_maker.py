@@ -266,12 +266,8 @@ class TargetMaker:
         ).vehicles[0]
         values = (made.structure, made.latent, made.gaussians.means, made.gaussians.log_scales)
         if not all(bool(torch.isfinite(value).all()) for value in values):
-            raise InputError(
-                name,
-                f"seed {seed}",
-                "the model produces values that are not finite",
-                "check the weights of the model",
-            )
+            problem = "the model produces values that are not finite"
+            raise InputError(name, f"seed {seed}", problem, "check the weights of the model")
         return made
 
 
@@ -377,12 +373,8 @@ def filter_record(settings: FilterSettings) -> FilterRecord:
     """
     if settings.kind == "none":
         if settings.threshold is not None:
-            raise InputError(
-                "`threshold`",
-                "value",
-                "needs a filter",
-                "choose a `filter`, or leave `threshold` out",
-            )
+            mend = "choose a `filter`, or leave `threshold` out"
+            raise InputError("`threshold`", "value", "needs a filter", mend)
         return FilterRecord()
     weights: dict[str, str] = {}
     if settings.kind == "agreement":
@@ -398,11 +390,9 @@ def filter_record(settings: FilterSettings) -> FilterRecord:
 def _aesthetic_files(settings: FilterSettings) -> tuple[Path, Path]:
     if settings.predictor is None or settings.clip is None:
         missing = "`predictor`" if settings.predictor is None else "`clip`"
-        raise InputError(
-            missing,
-            "weights",
-            "are not given",
+        mend = (
             "give the predictor's .pth file and a folder of CLIP ViT-L/14, or for small models "
-            "use `filter` agreement",
+            "use `filter` agreement"
         )
+        raise InputError(missing, "weights", "are not given", mend)
     return settings.predictor, settings.clip

@@ -336,12 +336,9 @@ def check_clip(folder: Path, width: int) -> None:
     inner = config.get("vision_config", {}) if config["model_type"] == "clip" else config
     found = config.get("projection_dim", inner.get("projection_dim"))
     if found != width:
-        raise InputError(
-            folder / "config.json",
-            "projection_dim",
-            f"is {found}, the predictor needs {width}",
-            "give a folder with the files of openai/clip-vit-large-patch14",
-        )
+        problem = f"is {found}, the predictor needs {width}"
+        mend = "give a folder with the files of openai/clip-vit-large-patch14"
+        raise InputError(folder / "config.json", "projection_dim", problem, mend)
 
 
 def load_clip_embedding(folder: Path, width: int) -> Callable[[list[PilImage.Image]], Tensor]:

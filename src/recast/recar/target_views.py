@@ -52,12 +52,9 @@ def nearest_views(record: SetRecord) -> tuple[int, ...]:
         error = np.abs((azimuths - wanted + 180.0) % 360.0 - 180.0)
         index = int(np.argmin(np.round(error, 6)))
         if error[index] > FARTHEST_DEG:
-            raise InputError(
-                record.name,
-                "azimuths",
-                f"no view is within {FARTHEST_DEG:g} degrees of {wanted:g}",
-                "add views: targets need the front, rear, left and right",
-            )
+            problem = f"no view is within {FARTHEST_DEG:g} degrees of {wanted:g}"
+            mend = "add views: targets need the front, rear, left and right"
+            raise InputError(record.name, "azimuths", problem, mend)
         chosen.append(index)
     return tuple(chosen)
 

@@ -152,12 +152,9 @@ def _begin(out: Path, record: CacheRecord) -> TargetCache:
     }
     theirs, ours = (one.model_dump(mode="json", exclude=free) for one in (cache.record, record))
     if name := first_difference(theirs, ours):
-        raise InputError(
-            out / CACHE_FILE,
-            name,
-            "differs: the folder holds targets of another configuration",
-            "choose another folder, or use the options of the targets in it",
-        )
+        problem = "differs: the folder holds targets of another configuration"
+        mend = "choose another folder, or use the options of the targets in it"
+        raise InputError(out / CACHE_FILE, name, problem, mend)
     return cache
 
 

@@ -155,12 +155,8 @@ def open_stage(request: StageRequest, processes: Processes) -> StageParts:
         image_encoder=request.image_encoder,
     )
     if config.train_encoder and model.checkpoint.record.encoder_role is None:
-        raise InputError(
-            request.model,
-            "image encoder",
-            "is the published one, which cannot be trained",
-            "set train_encoder to false",
-        )
+        problem = "is the published one, which cannot be trained"
+        raise InputError(request.model, "image encoder", problem, "set train_encoder to false")
     _check_sizes(request, model, targets, (*train, *held_out))
     inputs = StageInputs(
         config=config,
@@ -184,22 +180,16 @@ def _check_pictures(
 ) -> None:
     missing = missing_pictures(pictures, (*train, *held_out))
     if missing:
-        raise InputError(
-            request.pictures,
-            "pictures",
-            f"{len(missing)} vehicles with a target have no images: {_listed(missing)}",
-            "give the set that the targets were made from",
-        )
+        problem = f"{len(missing)} vehicles with a target have no images: {_listed(missing)}"
+        mend = "give the set that the targets were made from"
+        raise InputError(request.pictures, "pictures", problem, mend)
     if isinstance(pictures, SetConditions):
         wrong = tuple(one for one in train if pictures.split(one) != "train")
         wrong += tuple(one for one in held_out if pictures.split(one) != "held-out")
         if wrong:
-            raise InputError(
-                request.targets,
-                "split",
-                f"of {len(wrong)} vehicles differs from that of the set: {_listed(wrong)}",
-                "make the targets again from this set",
-            )
+            problem = f"of {len(wrong)} vehicles differs from that of the set: {_listed(wrong)}"
+            mend = "make the targets again from this set"
+            raise InputError(request.targets, "split", problem, mend)
 
 
 def _check_sizes(
@@ -219,12 +209,9 @@ def _check_sizes(
         found = [*one.structure.shape, one.latent.shape[1]]
         expected = [*model.structure_shape, model.latent_channels]
         if found != expected:
-            raise InputError(
-                request.targets,
-                identity,
-                f"has structure and latent of {found}, but the model makes {expected}",
-                "make the targets with a model of the same size",
-            )
+            problem = f"has structure and latent of {found}, but the model makes {expected}"
+            mend = "make the targets with a model of the same size"
+            raise InputError(request.targets, identity, problem, mend)
 
 
 def _targets_hash(targets: TargetCache) -> str:
@@ -373,12 +360,8 @@ class _Stage:
         asked = self.request.flows or tuple(self.config.settings)
         first = [n for n in self.config.settings if n in asked or self._is_trained(n)]
         if self.config.train_encoder and "structure" not in first:
-            raise InputError(
-                "`flow`",
-                "latent",
-                "needs the image encoder, which trains with the structure flow",
-                "train the structure flow first",
-            )
+            problem = "needs the image encoder, which trains with the structure flow"
+            raise InputError("`flow`", "latent", problem, "train the structure flow first")
         trained = self._train_all(first)
         # Another process may have finished the other flow by now.
         others = [n for n in self.config.settings if n not in first]

@@ -217,12 +217,9 @@ def open_conditions(folder: Path) -> ConditionSource:
         return SetConditions(read_set(folder))
     paths = sorted(folder.glob("[!.]*.npz"))
     if not paths:
-        raise InputError(
-            folder,
-            "pictures",
-            f"the folder contains no {SET_FILE} or assets (*.npz)",
-            "give a vehicle set, or a folder of training assets",
-        )
+        problem = f"the folder contains no {SET_FILE} or assets (*.npz)"
+        mend = "give a vehicle set, or a folder of training assets"
+        raise InputError(folder, "pictures", problem, mend)
     return AssetConditions(paths)
 
 

@@ -195,14 +195,10 @@ def chosen_stage(stage: str | None, file: Path | None) -> StageConfig:
         InputError: none or both are given, or the file is wrong.
     """
     if (stage is None) == (file is None):
-        raise InputError(
-            "`stage`",
-            "value",
-            "is missing, and so is `config`"
-            if stage is None
-            else "is given together with `config`",
-            "give one of the two",
+        problem = (
+            "is missing, and so is `config`" if stage is None else "is given together with `config`"
         )
+        raise InputError("`stage`", "value", problem, "give one of the two")
     if file is not None:
         return read_stage_config(file)
     return COMMAND_NAMES[str(stage)]

@@ -96,12 +96,9 @@ class StructureFlow:
         shape = (config.in_channels, *[config.resolution] * 3)
         for one in targets:
             if one.structure.shape != shape:
-                raise InputError(
-                    "targets",
-                    "structure",
-                    f"is {one.structure.shape}, but the network takes {shape}",
-                    "make the targets with a model of the same size",
-                )
+                problem = f"is {one.structure.shape}, but the network takes {shape}"
+                mend = "make the targets with a model of the same size"
+                raise InputError("targets", "structure", problem, mend)
         stacked = torch.stack([torch.from_numpy(one.structure) for one in targets])
         return FlowData(stacked.to(self.model.device), None, self.model)
 
@@ -171,12 +168,9 @@ class FlowTask:
 
     def __post_init__(self) -> None:
         if len(self.identities) < 2:
-            raise InputError(
-                self.targets.folder,
-                "train identities",
-                f"{len(self.identities)} can be used, at least two are needed",
-                "accept more targets, or name the set that they were made from",
-            )
+            problem = f"{len(self.identities)} can be used, at least two are needed"
+            mend = "accept more targets, or name the set that they were made from"
+            raise InputError(self.targets.folder, "train identities", problem, mend)
 
     @property
     def modules(self) -> Mapping[str, nn.Module]:

@@ -296,20 +296,13 @@ def read_set(folder: str | Path) -> VehicleSet:
     folder = Path(folder)
     record = read_set_record(folder)
     if not record.complete:
-        raise InputError(
-            folder / SET_FILE,
-            "complete",
-            "is false: the set is not complete",
-            "run the command that makes it again; it resumes",
-        )
+        mend = "run the command that makes it again; it resumes"
+        raise InputError(folder / SET_FILE, "complete", "is false: the set is not complete", mend)
     identities = read_identities(folder, record)
     if len(identities) != record.identities:
-        raise InputError(
-            folder,
-            "identities",
-            f"{len(identities)} folders, but set.json counts {record.identities}",
-            "restore the missing ones, or correct set.json",
-        )
+        problem = f"{len(identities)} folders, but set.json counts {record.identities}"
+        mend = "restore the missing ones, or correct set.json"
+        raise InputError(folder, "identities", problem, mend)
     return VehicleSet(folder, record, identities)
 
 
@@ -337,32 +330,23 @@ def read_identities(folder: Path, record: SetRecord) -> dict[str, Identity]:
 
 def _refuse_twice(first: Identity, second: Identity) -> None:
     splits = {first.record.split, second.record.split}
-    raise InputError(
-        second.folder / IDENTITY_FILE,
-        "id",
+    problem = (
         f"{second.record.id} is in {'both splits' if len(splits) == 2 else 'the set twice'}, "
-        f"also as {first.folder.name}",
-        "keep one of the two folders",
+        f"also as {first.folder.name}"
     )
+    raise InputError(second.folder / IDENTITY_FILE, "id", problem, "keep one of the two folders")
 
 
 def _check_folder(identity: Identity) -> None:
     if identity.folder.name != identity.record.id:
-        raise InputError(
-            identity.folder / IDENTITY_FILE,
-            "id",
-            f"is {identity.record.id!r} in the folder {identity.folder.name!r}",
-            "name the folder after the identity",
-        )
+        problem = f"is {identity.record.id!r} in the folder {identity.folder.name!r}"
+        mend = "name the folder after the identity"
+        raise InputError(identity.folder / IDENTITY_FILE, "id", problem, mend)
     present = {path.name for path in identity.folder.iterdir()}
     for index in range(identity.set_record.views):
         if view_file(index) not in present:
-            raise InputError(
-                identity.folder / view_file(index),
-                "view",
-                "is missing",
-                f"every identity needs all {identity.set_record.views} views",
-            )
+            mend = f"every identity needs all {identity.set_record.views} views"
+            raise InputError(identity.folder / view_file(index), "view", "is missing", mend)
 
 
 def begin_set(folder: str | Path, record: SetRecord, identities: Collection[str]) -> frozenset[str]:
@@ -393,28 +377,16 @@ def check_begin(folder: Path, record: SetRecord, identities: Collection[str]) ->
     if not folder.exists() or (folder.is_dir() and not any(folder.iterdir())):
         return frozenset()
     if not (folder / SET_FILE).is_file():
-        raise InputError(
-            folder,
-            "output folder",
-            "exists and is not a vehicle set",
-            "choose a new or empty folder",
-        )
+        mend = "choose a new or empty folder"
+        raise InputError(folder, "output folder", "exists and is not a vehicle set", mend)
     found = read_set_record(folder)
     if name := first_difference(_members(found), _members(record)):
-        raise InputError(
-            folder / SET_FILE,
-            name,
-            "differs: the folder holds a set of another configuration",
-            _MEND_OUT,
-        )
+        problem = "differs: the folder holds a set of another configuration"
+        raise InputError(folder / SET_FILE, name, problem, _MEND_OUT)
     finished = read_identities(folder, found)
     if unwanted := sorted(finished.keys() - set(identities)):
-        raise InputError(
-            folder,
-            unwanted[0],
-            f"is in the folder but not among the {len(identities)} requested",
-            _MEND_OUT,
-        )
+        problem = f"is in the folder but not among the {len(identities)} requested"
+        raise InputError(folder, unwanted[0], problem, _MEND_OUT)
     return frozenset(finished)
 
 

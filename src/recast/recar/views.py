@@ -134,12 +134,8 @@ def check_header(head: bytes, where: str | Path, width: int, height: int) -> Non
             where, "size", f"is {found_width}x{found_height}, expected {width}x{height}", _MEND
         )
     if colour_type != _RGBA or depth != 8:
-        raise InputError(
-            where,
-            "alpha",
-            f"is absent (PNG colour type {colour_type}, {depth} bits)",
-            "write 8-bit RGBA with the background removed",
-        )
+        problem = f"is absent (PNG colour type {colour_type}, {depth} bits)"
+        raise InputError(where, "alpha", problem, "write 8-bit RGBA with the background removed")
 
 
 def read_picture(path: Path, width: int, height: int) -> Image:
