@@ -36,13 +36,13 @@ from torch import Tensor
 from recast.cameras import PinholeCamera
 from recast.core.errors import InputError
 from recast.geometry import se3
-from recast.scene import SceneConfig, StreetScene
-from recast.scene.initialise import Initialisation
-from recast.scene.points import DepthSamples
+from recast.reconstruction import SceneConfig
+from recast.reconstruction.first_points import Initialisation
+from recast.reconstruction.step import Trainer
+from recast.reconstruction.views import DepthSamples, TrainingView
+from recast.scene import StreetScene
 from recast.scene.render import SceneRasterizer
 from recast.scene.sky import SkyMap
-from recast.scene.trainer import Trainer
-from recast.scene.views import TrainingView
 from recast.splats import Gaussians, pick_device, rasterize
 from recast.splats.cuda import load_gsplat
 

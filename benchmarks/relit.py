@@ -18,8 +18,7 @@ import torch
 
 from recast.actors import insert, load_actor
 from recast.logs import read_log
-from recast.metrics.oracle_poses import ViewSettings, place_views
-from recast.metrics.oracle_views import Painter
+from recast.metrics.oracle_views import Painter, ViewSettings, place_views
 from recast.scene import load_scene
 from recast.simulation import camera_mounts
 from recast.splats import set_threads

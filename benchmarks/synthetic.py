@@ -27,11 +27,16 @@ import numpy as np
 from recast.cameras import PinholeCamera
 from recast.geometry import se3
 from recast.synthetic.rendering import WAYMO_TOP, RayScene, compiled, render_camera, scan_lidar
-from recast.synthetic.rendering.camera import LONELY_SAMPLES, camera_rays
-from recast.synthetic.rendering.lighting import LightFilter, add_light_samples, sample_light
+from recast.synthetic.rendering.lighting import (
+    LightFilter,
+    SkyLight,
+    add_light_samples,
+    sample_light,
+    sky_light,
+)
 from recast.synthetic.rendering.rays import RayMesh, pixel_samples
+from recast.synthetic.rendering.sensors import LONELY_SAMPLES, camera_rays
 from recast.synthetic.rendering.shading import OFFSETS, borrow_light, edge_pixels, shade
-from recast.synthetic.rendering.sky import SkyLight, sky_light
 from recast.synthetic.rendering.surface_points import surface_points, textured
 from recast.synthetic.streets import make_street
 from recast.synthetic.surface import concatenate

@@ -17,7 +17,7 @@ import time
 from pathlib import Path
 
 from recast.logs import read_log
-from recast.scene import SceneConfig, TrainingStatus, evaluate_scene, train_scene
+from recast.reconstruction import SceneConfig, TrainingStatus, evaluate_scene, train_scene
 
 
 class Curve:

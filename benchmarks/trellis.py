@@ -21,18 +21,19 @@ from torch import Tensor
 from torch.nn.functional import max_pool3d
 
 from recast.trellis import ImageTo3D
-from recast.trellis.checkpoints import SMALL, new_checkpoint
-from recast.trellis.generation import Stopwatch
-from recast.trellis.models import SLatEncoder, SparseStructureEncoder
+from recast.trellis.checkpoint_sizes import SMALL, new_checkpoint
+from recast.trellis.generate import Stopwatch
+from recast.trellis.slat_vae import SLatEncoder
 from recast.trellis.sparse import (
+    OFFSETS,
     SparseTensor,
     WindowedTokens,
+    attention_reference,
     neighbour_map,
-    submanifold_convolution,
     window_partition,
 )
-from recast.trellis.sparse.tensor import OFFSETS
-from recast.trellis.sparse.tokens import attention_reference
+from recast.trellis.sparse_convolution import submanifold_convolution
+from recast.trellis.ss_vae import SparseStructureEncoder
 
 HEAD_CHANNELS = 32
 WINDOW, SHIFT = 8, 4

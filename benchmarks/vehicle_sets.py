@@ -2,10 +2,10 @@
 
     python benchmarks/vehicle_sets.py                                 # 400 vehicles, about a minute
     python benchmarks/vehicle_sets.py --vehicles 20000 --width 60     # the paper's count, 2 GB
-    python benchmarks/vehicle_sets.py --vehicles 20000 --pack 200 --template SET   # and its sizes
+    python benchmarks/vehicle_sets.py --vehicles 20000 --screen 200 --template SET   # and its sizes
 
 The pictures are those of a few rendered vehicles (or of `--template`), hard-linked, so that a set
-has its files and their sizes but takes no room; only shards do, of the first `--pack` vehicles.
+has its files and their sizes but takes no room. `--screen` bounds the vehicles that are screened.
 Every step runs in a process of its own, at a quarter of the vehicles and at all: "growth" is the
 time a vehicle at all over that at a quarter, 1 where the step is linear. Seconds are CPU seconds of
 one thread; MiB is what the step took at most, beside what importing takes (Linux). Everything read
@@ -16,7 +16,6 @@ from __future__ import annotations
 
 import argparse
 import errno
-import hashlib
 import json
 import os
 import shutil
@@ -38,12 +37,12 @@ from recast.recar import (
     split_of,
     synthesize_set,
 )
-from recast.recar.ingest import IngestSettings, ingest_photographs, perceptual_hash
-from recast.recar.ingest.duplicates import BITS, Hashes, SeenPictures
-from recast.recar.set_records import view_file
-from recast.recar.shards import pack_set, read_shards, stream_identities
-from recast.recar.shards.pack import plan_shards
+from recast.recar.ingest import ingest_photographs
+from recast.recar.ingest_photograph import Hashes, SeenPictures, perceptual_hash
+from recast.recar.ingest_table import BITS, IngestSettings
+from recast.recar.screening import screened_vehicles, write_screening
 from recast.recar.synthesis import plan_identities
+from recast.recar.vehicle_set import view_file
 
 KINDS = ("sedan", "suv", "hatchback", "van", "pickup")
 FLIPPED = 0.3
@@ -125,11 +124,6 @@ def count(folder: Path) -> str:
     return f"{found.bytes / 1e9:.2f} GB of pictures"
 
 
-def plan(folder: Path) -> str:
-    shards = plan_shards(read_set(folder), 256 * 10**6)
-    return f"{len(shards)} shards of 256 MB"
-
-
 def plan_synthesis(vehicles: int) -> str:
     return f"{len(plan_identities(SynthesisSettings(), vehicles, 0, []))} identities"
 
@@ -156,51 +150,12 @@ def find_duplicates(base: Hashes, vehicles: int) -> str:
     return f"{100 * (time.process_time() - start):.1f} ms a vehicle at the end"
 
 
-def pack(folder: Path, out: Path) -> str:
+def screen(folder: Path) -> str:
+    found = read_set(folder)
     start = time.process_time()
-    index = pack_set(read_set(folder), out)
+    made = write_screening(folder, found.identities, screened_vehicles(found))
     seconds = time.process_time() - start
-    start = time.process_time()
-    total = 0
-    for path in sorted(folder.glob("*/view_*.png")):
-        data = path.read_bytes()
-        hashlib.sha256(data).digest()
-        total += len(data)
-    plain = time.process_time() - start
-    return (
-        f"{index.bytes / 1e6 / seconds:.0f} MB/s, {index.pictures / seconds:,.0f} pictures/s; "
-        f"{seconds / plain:.1f} times reading and one hash"
-    )
-
-
-def open_shards(out: Path) -> str:
-    found = read_shards(out)
-    return f"{len(found.identities)} identities"
-
-
-def count_shards(out: Path) -> str:
-    return f"{set_statistics(read_shards(out)).bytes / 1e9:.2f} GB of pictures"
-
-
-def stream(out: Path) -> str:
-    found = read_shards(out)
-    start = time.process_time()
-    total = pictures = 0
-    for identity in stream_identities(found, rng=np.random.default_rng(0)):
-        total += identity.picture_bytes()
-        pictures += len(identity.pictures)
-    seconds = time.process_time() - start
-    return f"{total / 1e6 / seconds:.0f} MB/s, {pictures / seconds:,.0f} pictures/s, hashes checked"
-
-
-def read_anywhere(out: Path, reads: int = 300) -> str:
-    found = read_shards(out)
-    rng = np.random.default_rng(0)
-    names = list(found.identities)
-    start = time.process_time()
-    for name in rng.choice(names, reads):
-        found.identities[name].encoded(int(rng.integers(found.record.views)))
-    return f"{1e3 * (time.process_time() - start) / reads:.2f} ms a picture at random, not decoded"
+    return f"{made.vehicles / seconds:.1f} vehicles/s, {made.sheets} sheets"
 
 
 def ingest(photos: Path, out: Path, views: int, width: int, height: int) -> str:
@@ -228,14 +183,13 @@ def run(arguments: argparse.Namespace, folder: Path) -> None:
     first = next(iter(template.identities.values()))
     base = np.stack([perceptual_hash(first.view(index)) for index in range(record.views)])
     sets = [write_linked(template, folder / f"set-{number}", number) for number in sizes]
-    most = min(arguments.pack or all_vehicles, all_vehicles)
-    packed_sizes = [max(most // 4, 2), most]
+    most = min(arguments.screen or all_vehicles, all_vehicles)
+    screened_sizes = [max(most // 4, 2), most]
     linked = dict(zip(sizes, sets, strict=True))
-    packed = [
+    screened = [
         linked.get(number) or write_linked(template, folder / f"some-{number}", number)
-        for number in packed_sizes
+        for number in screened_sizes
     ]
-    shards = [folder / f"shards-{place}" for place in range(2)]
     print(f"{record.views} pictures of {record.width}x{record.height} a vehicle; CPU seconds")
     line = "{:22} {:>8} {:>8} {:>8} {:>7} {:>8} {:>8}  {}"
     print(line.format("step", "vehicles", "s", "vehicles", "s", "growth", "MiB", ""))
@@ -257,18 +211,13 @@ def run(arguments: argparse.Namespace, folder: Path) -> None:
             flush=True,
         )
 
-    whole, part = list(sizes), packed_sizes
+    whole = list(sizes)
     show("open", open_folders, whole, [*sets])
     show("open, check headers", check_headers, whole, [*sets])
     show("open, statistics", count, whole, [*sets])
-    show("open, plan shards", plan, whole, [*sets])
     show("plan synthesis", plan_synthesis, whole, [*sizes])
     show("find duplicates", find_duplicates, whole, [base, base], [*sizes])
-    show("pack", pack, part, [*packed], [*shards])
-    show("open shards", open_shards, part, [*shards])
-    show("statistics of shards", count_shards, part, [*shards])
-    show("stream", stream, part, [*shards])
-    show("read anywhere", read_anywhere, part, [*shards])
+    show("screen", screen, screened_sizes, [*screened])
     photos = folder / "photos"
     for number, (id, one) in enumerate(template.identities.items()):
         shutil.copytree(one.folder, photos / id, ignore=shutil.ignore_patterns("*.json"))
@@ -286,7 +235,7 @@ def main() -> None:
     parser.add_argument("--views", type=int, default=30)
     parser.add_argument("--width", type=int, default=120, help="of rendered pictures, pixels")
     parser.add_argument("--template", type=Path, help="set whose pictures are linked; not changed")
-    parser.add_argument("--pack", type=int, help="only so many vehicles into shards")
+    parser.add_argument("--screen", type=int, help="screen only so many vehicles")
     parser.add_argument("--folder", type=Path, help="where to work; on the template's file system")
     arguments = parser.parse_args()
     with tempfile.TemporaryDirectory(dir=arguments.folder) as folder:

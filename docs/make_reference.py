@@ -65,11 +65,11 @@ MODELS = {
         ),
     ),
     "Training of the image-to-3D model": (
-        ("recast.recar.targets.cache_records", "TargetSettings", "settings of the pseudo-targets"),
-        ("recast.recar.targets.cache_records", "FilterSettings", "`filter` of the pseudo-targets"),
-        ("recast.recar.perturb.compose", "PerturbationConfig", "file for `--perturbations`"),
-        ("recast.recar.training.stage_config", "StageConfig", "one stage of `recast recar train`"),
-        ("recast.recar.training.stage_config", "FlowObjective", "`objective` of a stage"),
+        ("recast.recar.target_maker", "TargetSettings", "settings of the pseudo-targets"),
+        ("recast.recar.target_maker", "FilterSettings", "`filter` of the pseudo-targets"),
+        ("recast.recar.perturb", "PerturbationConfig", "file for `--perturbations`"),
+        ("recast.recar.training_config", "StageConfig", "one stage of `recast recar train`"),
+        ("recast.recar.training_config", "FlowObjective", "`objective` of a stage"),
         ("recast.training.task", "TrainerSettings", "`trainer` of a training"),
     ),
     "Training of the small planner": (

@@ -17,6 +17,8 @@ The way of the data, as functions and types; each is imported when it is first u
 
 from __future__ import annotations
 
+from recast.lazy import getattr_of, names_of
+
 TYPE_CHECKING = False  # typing's own costs 5 ms; type checkers know the name
 if TYPE_CHECKING:
     from recast.actors import Actor as Actor
@@ -66,27 +68,21 @@ _PLACES = {
     "recast.scene": ("StreetScene",),
     "recast.simulation": ("Rollout", "Simulator", "motion"),
 }
-_WHERE = {name: module for module, names in _PLACES.items() for name in names}
-"""Public names by the module that has them; each is imported when it is first used."""
+_of_modules = getattr_of(__name__, _PLACES)
 
 
 def __getattr__(name: str) -> object:
-    if name == "__version__":
-        from importlib.metadata import PackageNotFoundError, version
+    if name != "__version__":
+        return _of_modules(name)
+    from importlib.metadata import PackageNotFoundError, version
 
-        try:
-            found: object = version("recast-sim")
-        except PackageNotFoundError:  # run from a source tree that was never installed
-            found = "0+unknown"
-    elif name in _WHERE:
-        from importlib import import_module
-
-        found = getattr(import_module(_WHERE[name]), name)
-    else:
-        raise AttributeError(f"module 'recast' has no attribute {name!r}")
+    try:
+        found = version("recast-sim")
+    except PackageNotFoundError:  # run from a source tree that was never installed
+        found = "0+unknown"
     globals()[name] = found
     return found
 
 
 def __dir__() -> list[str]:
-    return sorted({*globals(), *_WHERE, "__version__"})
+    return sorted({*globals(), *names_of(_PLACES), "__version__"})

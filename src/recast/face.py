@@ -25,9 +25,17 @@ from recast.core.errors import InputError
 from recast.core.plugins import SCENES
 from recast.logs import DrivingLog, HdMap, load_log, map_of, write_log
 from recast.metrics import RolloutMetrics, rollout_metrics
+from recast.reconstruction import (
+    Preset,
+    SceneConfig,
+    SceneEvaluation,
+    evaluate_scene,
+    read_training_config,
+    resolve_config,
+)
+from recast.reconstruction.train import CONFIG_FILE
 from recast.runs.actor import ActorMakers
 from recast.runs.arms import OWN_STREET
-from recast.runs.layout import ACTOR_FOLDER, STORE_FOLDER
 from recast.runs.making import (
     Maker,
     VehicleParts,
@@ -37,22 +45,13 @@ from recast.runs.making import (
     train_street,
 )
 from recast.runs.report import report_rollout, report_run
+from recast.runs.run_folder import ACTOR_FOLDER, STORE_FOLDER
 from recast.runs.sources import SourceLog, generator_source, segmenter_source
-from recast.scene import (
-    Preset,
-    SceneConfig,
-    SceneEvaluation,
-    StreetScene,
-    evaluate_scene,
-    read_training_config,
-    resolve_config,
-    save_scene,
-)
+from recast.scene import StreetScene, save_scene
 from recast.scene.imported import IMPORT_FILE
-from recast.scene.run import CONFIG_FILE
 from recast.simulation import Rollout, load_rollout
 from recast.studies import resolve_bench, run_closed_loop
-from recast.studies.results import GridResults
+from recast.studies.closed_loop import GridResults
 
 Place = str | Path | Store
 _READERS: Readers = {DrivingLog: load_log, StreetScene: SCENES.resolve, Rollout: load_rollout}

@@ -7,12 +7,12 @@ import torch
 
 from actors import made_up
 from recast.actors.carve import FreeSpace
-from recast.actors.drawing import look_at
 from recast.actors.evidence import Evidence, Sighting
 from recast.cameras import PinholeCamera
 from recast.geometry import se3
 from recast.logs import Trajectory
 from recast.scene import SceneActor, SkyMap, StreetScene
+from recast.scene.actor import look_at
 from recast.splats import Gaussians, rasterize
 
 CAMERA = PinholeCamera(72, 48, 75.0, 75.0, 36.0, 24.0)

@@ -15,7 +15,7 @@ from recast.actors.generate import candidates_of
 from recast.actors.register import register
 from recast.core.errors import InputError
 from recast.logs import DrivingLog
-from recast.scene import SceneConfig
+from recast.reconstruction import SceneConfig
 from recast.splats import Gaussians
 
 

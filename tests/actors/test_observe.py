@@ -21,8 +21,8 @@ from recast.cameras import box_rectangle
 from recast.core.errors import InputError
 from recast.geometry import se3
 from recast.logs import DrivingLog, Track
+from recast.reconstruction import SceneConfig
 from recast.runs.actor import ActorMakers, make_actor
-from recast.scene import SceneConfig
 from recast.splats import Gaussians
 
 

@@ -14,12 +14,12 @@ from hypothesis import strategies as st
 from actors import made_up
 from recast.actors import Asset, Observation, TemplateGenerator
 from recast.actors.axes import UNIT_CUBE_Y_UP, UNIT_CUBE_Z_UP, VEHICLE, AxisConvention
-from recast.actors.drawing import look_at
 from recast.actors.observe import observation_of_view
 from recast.actors.place import PlacedAsset, place_asset
 from recast.core.errors import InputError
 from recast.geometry import se3
 from recast.recar.views import pinhole
+from recast.scene.actor import look_at
 from recast.splats import Gaussians
 from support.crops import DISTANCE, FOV_DEG, PIXELS, SIZE, direction, photograph, two_coloured_box
 

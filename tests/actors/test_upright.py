@@ -24,14 +24,10 @@ from recast.geometry import se3
 from recast.logs import DrivingLog
 from recast.runs.config import RunConfig
 from recast.splats import CLASSIC, MIP, Gaussians, LowPass, write_ply
-from recast.studies.generation.cell import place_canonical
+from recast.studies.generation.cells import place_canonical
 from recast.synthetic.vehicles import KINDS, sample_vehicle
 from recast.trellis import viewer_frame
-from recast.trellis.models.gaussians import (
-    RepresentationConfig,
-    offset_perturbation,
-    raw_to_gaussians,
-)
+from recast.trellis.slat_vae import RepresentationConfig, offset_perturbation, raw_to_gaussians
 
 SIZES = {
     "sedan": (4.7, 1.85, 1.45),

@@ -14,7 +14,7 @@ import pytest
 from recast.cli.main import main
 from recast.core import files
 from recast.logs import DrivingLog, LidarSweep, Trajectory, read_log, write_log
-from recast.scene import SceneConfig, write_config
+from recast.reconstruction import SceneConfig, write_config
 from support import tiny_drive as tiny
 
 RUN = ("--track", "0", "--motion", "advancing-a", "--threads", "1")

@@ -12,8 +12,7 @@ from recast.runs.demo import FULL, QUICK
 
 
 @pytest.mark.parametrize(
-    ("words", "folder", "size"),
-    [((), "runs/demo", FULL), (("--quick",), "runs/demo-quick", QUICK)],
+    ("words", "folder", "size"), [((), "runs/demo", FULL), (("--quick",), "runs/demo-quick", QUICK)]
 )
 def test_the_quick_demo_is_another_folder_and_smaller(
     words: tuple[str, ...], folder: str, size: Any, monkeypatch: pytest.MonkeyPatch

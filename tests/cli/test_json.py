@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from recast.cli.main import main
-from recast.cli.output import print_json, with_unit
+from recast.cli.shared import print_json, with_unit
 from recast.core import Store, files
 from recast.logs import DrivingLog
 from recast.metrics import COLUMNS
@@ -188,8 +188,8 @@ def test_run_and_demo(
 
 def test_bench(tmp_path: Path, capsys: Capture, monkeypatch: pytest.MonkeyPatch) -> None:
     from recast.metrics.scene_level.summary import LevelRow, Value
-    from recast.studies.grid_rows import GridRow
-    from recast.studies.results import summarise
+    from recast.studies.closed_loop import summarise
+    from recast.studies.grid import GridRow
 
     def ran(settings: Any, *_: object, **__: object) -> Any:
         scores = dict.fromkeys(COLUMNS, 1.0)
@@ -247,8 +247,8 @@ def test_bench(tmp_path: Path, capsys: Capture, monkeypatch: pytest.MonkeyPatch)
 def test_scene_eval(
     tiny_log: DrivingLog, tiny_log_folder: Path, capsys: Capture, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from recast.scene import FrameScore, RegionScore, SceneEvaluation
-    from recast.scene.evaluate_record import DepthScore
+    from recast.reconstruction import FrameScore, RegionScore, SceneEvaluation
+    from recast.reconstruction.scores import DepthScore
 
     depth = DepthScore(100, 0.25, 0.1, 0.2, 0.02, 5.0)
     whole = RegionScore(30.0, 0.9)
@@ -271,9 +271,9 @@ def test_scene_eval(
 def test_vehicles_and_planners(capsys: Capture) -> None:
     from recast.actors.actor import CandidateRecord, CandidateScore
     from recast.cli.rows import vehicles
-    from recast.metrics.pairs import Bootstrap
+    from recast.metrics.table import Bootstrap
     from recast.studies.actors import ActorEvaluation, TrackResult
-    from recast.studies.generation.summary import StudyBlock, StudyDifference, StudyRow
+    from recast.studies.generation.report import StudyBlock, StudyDifference, StudyRow
     from recast_tools.cli.planner import _probe_rows
     from recast_tools.planner_probe import ProbeRow
 

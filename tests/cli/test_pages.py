@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from recast.cli.main import main
-from recast.cli.output import PAGES
+from recast.cli.shared import PAGES
 from recast.core.errors import LINE_LIMIT, InputError
 
 ROOT = Path(__file__).parents[2]

@@ -27,10 +27,10 @@ def test_make_a_set_count_it_and_draw_it(
     code, _, _ = run(capsys, *SYNTH, "2", "--kinds", "sedan", "van", "--out", out)
     assert code == 0
     assert len(list(out.glob("vehicle-*/view_*.png"))) == 4
-    code, text, _ = run(capsys, "recar", "stats", out, "--out", tmp_path / "figure")
+    code, text, _ = run(capsys, "recar", "stats", out, "--sheet", tmp_path / "sheet.png")
     assert code == 0
     assert "1 train, 1 held out" in text
-    assert (tmp_path / "figure" / "dataset.png").stat().st_size > 10_000
+    assert (tmp_path / "sheet.png").stat().st_size > 10_000
     (out / "vehicle-00001" / "view_01.png").unlink()
     code, _, line = run(capsys, "recar", "stats", out)
     assert code == 2

@@ -1,4 +1,4 @@
-"""`recast recar ingest` and `pack`: what a user sees, and one line on bad input."""
+"""`recast recar ingest`: what a user sees, and one line on bad input."""
 
 from __future__ import annotations
 
@@ -9,13 +9,14 @@ import pytest
 
 from recar.photographs import write_photos, write_rows
 from recast.cli.main import main
-from recast.cli.recar_sets import Ingest, Pack
+from recast.cli.recar_sets import Ingest
 from recast.core.errors import InputError
 from recast.recar import read_set
-from recast.recar.shards import read_shards
 
 
-def test_from_photographs_to_shards(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_bad_photographs_are_left_out_if_asked(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     photos = write_photos(tmp_path / "photos")
     (photos / "car-1" / "7.png").write_bytes(b"")
     options = {"licence": "CC0-1.0", "views": 4, "width": 60, "height": 40, "remover": "none"}
@@ -25,10 +26,7 @@ def test_from_photographs_to_shards(tmp_path: Path, capsys: pytest.CaptureFixtur
     Ingest(photos, tmp_path / "set", skip_bad=True, **options)()  # type: ignore[arg-type]
     said = capsys.readouterr().out
     assert "2 identities, 1 left out, 0 to look at" in said
-    Pack(tmp_path / "set", tmp_path / "shards", "1kB")()
-    assert "2 identities in 2 shards" in capsys.readouterr().out
-    packed = read_shards(tmp_path / "shards")
-    assert packed.identities.keys() == read_set(tmp_path / "set").identities.keys()
+    assert read_set(tmp_path / "set").identities.keys() == {"car-0", "car-2"}
 
 
 def test_the_lines_of_skipped_vehicles_name_options(
@@ -43,8 +41,6 @@ def test_the_lines_of_skipped_vehicles_name_options(
 
 
 def test_bad_options(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="--shard-bytes: value: is 'much'"):
-        Pack(tmp_path, tmp_path / "out", "much")()
     with pytest.raises(InputError, match="folder: is missing"):
         Ingest(tmp_path, tmp_path / "set", "CC0-1.0", remover="nowhere")()
 

@@ -11,7 +11,7 @@ import tyro
 from recast.cli.recar_train import RecarTrain
 from recast.core.errors import InputError
 from recast.core.files import write_json
-from recast.recar.training.output import read_training_record
+from recast.recar.training_config import read_training_record
 from support.tiny_stage import TinyStage, tiny_config, write_tiny_stage
 
 

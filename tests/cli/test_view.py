@@ -54,10 +54,7 @@ def test_a_replay_of_a_log_is_written(
 
 
 def test_folders_that_cannot_be_shown_are_refused(
-    tiny_log_folder: Path,
-    rollout_folder: Path,
-    tmp_path: Path,
-    capsys: pytest.CaptureFixture[str],
+    tiny_log_folder: Path, rollout_folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     log, nothing = str(tiny_log_folder), str(tmp_path)
     assert "is not a folder" in refused(capsys, str(tmp_path / "missing"))

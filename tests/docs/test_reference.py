@@ -37,7 +37,7 @@ def test_every_option_of_every_command_says_what_it_does(hook: ModuleType) -> No
 def test_every_field_of_a_configuration_is_there(hook: ModuleType) -> None:
     page = hook.configuration()
     scene = page.split("### SceneConfig\n")[1].split("\n## ")[0]
-    from recast.scene import SceneConfig
+    from recast.reconstruction import SceneConfig
 
     assert set(re.findall(r"^\| `(\w+)` \|", scene, re.MULTILINE)) == set(SceneConfig.model_fields)
     assert "| `iterations` | integer, ≥ 1 | `2800` |" in scene

@@ -27,7 +27,6 @@ _LOADED = (
     "recast.cli.main",
     "recast.runs.bench",
     "recast.runs.run",
-    "matplotlib.backends.backend_agg",
     "torch.fx.experimental.symbolic_shapes",  # which training asks for
 )
 """What the server that children are forked from imports once."""

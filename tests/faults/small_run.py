@@ -5,8 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from recast.core import files
-from recast.runs.layout import use_name
-from recast.runs.run_folder import RunFolder
+from recast.runs.run_folder import RunFolder, use_name
 
 
 def small_run(folder: Path) -> Path:

@@ -16,10 +16,9 @@ from recast.logs import DrivingLog
 from recast.reporting.video import read_video
 from recast.runs.arms import Arm
 from recast.runs.config import resolve_config
-from recast.runs.layout import use_name
 from recast.runs.rollouts import films
 from recast.runs.run import run
-from recast.runs.run_folder import RunFolder
+from recast.runs.run_folder import RunFolder, use_name
 from recast.studies import parse_scenes
 
 HOSTILE = (

@@ -12,8 +12,7 @@ import pytest
 from recast.core.errors import InputError
 from recast.core.files import read_json, read_text
 from recast.logs import DrivingLog, load_log
-from recast.logs.importers.kitti_files import MISSING, read_timestamps
-from recast.logs.importers.kitti_sensors import turn_times
+from recast.logs.importers.kitti_files import MISSING, read_timestamps, turn_times
 from support import tiny_argoverse2, tiny_drive, tiny_nuscenes, tiny_processed
 
 TIMES = "velodyne_points/timestamps.txt"

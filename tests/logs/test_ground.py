@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from recast.logs import even_ground
-from recast.logs.ground import CELL, LOW, MIN_POINTS, REACH, ground_grid, ground_points
+from recast.logs.derive_map import CELL, LOW, MIN_POINTS, REACH, ground_grid, ground_points
 
 PATH = np.stack([np.linspace(0, 30, 31), np.zeros(31), 0.02 * np.linspace(0, 30, 31)], axis=-1)
 

@@ -11,7 +11,7 @@ import pytest
 
 from recast.core.errors import InputError
 from recast.logs import GroundHeight, HdMap, Lane
-from recast.logs.map_json import read_map, write_map
+from recast.logs.hdmap import read_map, write_map
 
 GOLDEN = Path(__file__).parents[1] / "golden" / "map.json"
 

@@ -10,7 +10,7 @@ import pytest
 
 from recast.logs import DrivingLog, read_log
 from recast.logs.importers.waymo import load_waymo2
-from recast.logs.importers.waymo2_segment import RowReader
+from recast.logs.importers.waymo2 import RowReader
 from support import tiny_waymo as tiny
 from support import tiny_waymo2 as tiny2
 from support.importing import import_drive

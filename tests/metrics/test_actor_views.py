@@ -20,13 +20,12 @@ from recast.metrics.actor_scores import (
     framed,
     mean_scores,
     photographed,
+    read_cases,
     score_view,
 )
-from recast.metrics.cases import read_cases
-from recast.recar import begin_set, finish_set, read_set, regular_azimuths, write_identity
-from recast.recar.shards import pack_set
+from recast.recar import begin_set, finish_set, regular_azimuths, write_identity
 from recast.splats import CLASSIC
-from recast.studies.sheets import ComparedView, comparison_sheet
+from recast.studies.actors import ComparedView, comparison_sheet
 from support.crops import RESERVED, SIZE, photograph, two_coloured_box, write_crops
 
 
@@ -57,15 +56,6 @@ def test_a_set_is_judged_on_held_out_identities(vehicle_set: Path) -> None:
         eye = -source.camera_from_actor[:3, :3].T @ source.camera_from_actor[:3, 3]
         assert np.linalg.norm(eye) == pytest.approx(8.0)
     assert cases[0].size == pytest.approx([4.6, 1.8, 1.5])
-
-
-def test_a_set_in_shards_is_judged_alike(vehicle_set: Path, tmp_path: Path) -> None:
-    pack_set(read_set(vehicle_set), tmp_path / "shards")
-    for loose, packed in zip(read_cases(vehicle_set), read_cases(tmp_path / "shards"), strict=True):
-        assert (loose.id, loose.inputs[0].name) == (packed.id, packed.inputs[0].name)
-        for mine, theirs in zip(loose.targets, packed.targets, strict=True):
-            assert np.array_equal(mine.load(), theirs.load())
-            assert np.array_equal(mine.camera_from_actor, theirs.camera_from_actor)
 
 
 def test_inputs_are_drawn_by_seed_and_identity(vehicle_set: Path, tmp_path: Path) -> None:
@@ -105,7 +95,7 @@ def test_sets_that_cannot_judge(tmp_path: Path, changes: dict[str, object], mess
 def test_folders_and_limits_that_are_refused(tmp_path: Path, vehicle_set: Path) -> None:
     with pytest.raises(InputError, match="is not a folder"):
         read_cases(tmp_path / "nowhere")
-    with pytest.raises(InputError, match=r"no set.json, no index.json and no ID/input_views"):
+    with pytest.raises(InputError, match=r"no set.json and no ID/input_views"):
         read_cases(tmp_path)
     with pytest.raises(InputError, match="`limit`: value: is 0"):
         read_cases(vehicle_set, limit=0)

@@ -3,7 +3,7 @@
 import numpy as np
 from hypothesis import strategies as st
 
-from recast.metrics.collision import no_collision
+from recast.metrics.driving import no_collision
 
 poses = st.tuples(st.floats(-8, 8), st.floats(-8, 8), st.floats(-4, 4))
 sizes = st.tuples(st.floats(0.3, 12), st.floats(0.3, 3))

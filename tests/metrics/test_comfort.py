@@ -6,7 +6,7 @@ from scipy.signal import savgol_filter
 
 from recast.dynamics import make_state, track
 from recast.dynamics.comfort import comfortable_plans, savgol_signals
-from recast.metrics import comfort
+from recast.metrics import driving
 
 T = 0.1 * np.arange(41)
 
@@ -19,12 +19,12 @@ def from_speed(speed, heading=None):
     return np.concatenate([xy, heading[1:, None]], axis=1)[None]
 
 
-def failed(plan, reading=comfort.com_hugsim):
+def failed(plan, reading=driving.com_hugsim):
     return set(reading(plan).failed_checks()[0])
 
 
 def test_cruising_and_standing_pass_everything():
-    for reading in (comfort.com_hugsim, comfort.com_4_13, comfort.com_nuplan_savgol):
+    for reading in (driving.com_hugsim, driving.com_4_13, driving.com_nuplan_savgol):
         assert reading(from_speed(np.full(41, 8.0))).com.value == 1.0
         assert reading(np.zeros((3, 40, 3))).com.value == 1.0
 
@@ -40,7 +40,7 @@ def test_longitudinal_acceleration(acceleration, wanted):
 def test_comfortable_plans_are_those_that_com_counts():
     rng = np.random.default_rng(0)
     plans = np.concatenate([from_speed(22.0 + rate * T) for rate in rng.uniform(-5, 3, 60)])
-    wanted = comfort.com_hugsim(plans)
+    wanted = driving.com_hugsim(plans)
     found = comfortable_plans(plans)
     np.testing.assert_array_equal(found, wanted.passed.all(axis=1))
     assert found.mean() == wanted.com.value
@@ -59,7 +59,7 @@ def jerky(jerk):
 )
 def test_jerk_limits(jerk, hugsim, strict):
     assert failed(jerky(jerk)) == hugsim
-    assert failed(jerky(jerk), comfort.com_4_13) == strict
+    assert failed(jerky(jerk), driving.com_4_13) == strict
 
 
 @pytest.mark.parametrize("whole_window", [False, True])
@@ -100,7 +100,7 @@ def test_yaw_rate_through_pi():
     wrapped = plan.copy()
     wrapped[..., 2] = (plan[..., 2] + np.pi) % (2 * np.pi) - np.pi
     assert failed(wrapped) == set()
-    assert failed(wrapped, comfort.com_nuplan_savgol) == set()
+    assert failed(wrapped, driving.com_nuplan_savgol) == set()
 
 
 def test_yaw_acceleration():
@@ -126,18 +126,18 @@ def test_headings_of_a_standing_plan_do_not_count():
 def test_smoothing_forgives_a_noisy_speed():
     noisy = from_speed(10.0 + 0.05 * (-1.0) ** np.arange(41))
     assert failed(noisy) == {"lon_jerk"}
-    assert failed(noisy, comfort.com_nuplan_savgol) == set()
+    assert failed(noisy, driving.com_nuplan_savgol) == set()
 
 
 def test_share_and_reason():
     plans = np.concatenate([from_speed(np.full(41, 8.0))] * 3 + [from_speed(8 + 3 * T)])
-    result = comfort.com_hugsim(plans)
+    result = driving.com_hugsim(plans)
     assert result.com.value == 0.75
     assert result.com.reason == "1 of 4 plans fail: lon_accel in 1"
 
 
 def test_without_plans_there_is_no_value():
-    for reading in (comfort.com_hugsim, comfort.com_nuplan_savgol):
+    for reading in (driving.com_hugsim, driving.com_nuplan_savgol):
         assert not reading(np.zeros((0, 40, 3))).com.valid
 
 
@@ -169,7 +169,7 @@ def driven(speed, yaw_rate=0.0, acceleration=0.0, count=41, dt=0.1):
     ],
 )
 def test_what_was_driven_is_held_to_nuplans_limits(states, wanted):
-    found = comfort.com_driven(states)
+    found = driving.com_driven(states)
     if wanted is None:
         assert not found.com.valid and "1.4 s" in found.com.reason
         return
@@ -179,16 +179,16 @@ def test_what_was_driven_is_held_to_nuplans_limits(states, wanted):
 
 def test_what_was_driven_names_the_worst_moment():
     states = driven(8.0, acceleration=np.where(np.abs(T - 2.0) < 0.65, -5.0, 0.0))
-    reason = comfort.com_driven(states).com.reason
+    reason = driving.com_driven(states).com.reason
     assert reason.startswith("lon_accel is -5.")
     assert "m/s^2 at " in reason and "(-4.05 to 2.4); lon_jerk is" in reason
 
 
 def test_finer_steps_are_thinned_to_nuplans():
     fine, coarse = driven(8.0, acceleration=2.45, count=81, dt=0.05), driven(8.0, acceleration=2.45)
-    found, wanted = comfort.com_driven(fine, 0.05), comfort.com_driven(coarse, 0.1)
+    found, wanted = driving.com_driven(fine, 0.05), driving.com_driven(coarse, 0.1)
     assert found.failed_checks() == wanted.failed_checks() == [["lon_accel"]]
-    assert "steps of 0.2 s" in comfort.com_driven(coarse, 0.2).com.reason
+    assert "steps of 0.2 s" in driving.com_driven(coarse, 0.2).com.reason
 
 
 def test_a_plan_beside_the_ego_is_uncomfortable_and_its_drive_is_not():
@@ -203,7 +203,7 @@ def test_a_plan_beside_the_ego_is_uncomfortable_and_its_drive_is_not():
         line[0] = states[-1, :3]
         plans.append(line[1:] - [x, y, 0.0])  # the heading is small
         states = np.concatenate([states, track(states[-1], line, 5)[1:]])
-    planned = comfort.com_hugsim(np.array(plans))
+    planned = driving.com_hugsim(np.array(plans))
     assert {"lon_accel", "lon_jerk"} <= set(planned.failed_checks()[0])
-    found = comfort.com_driven(states)
+    found = driving.com_driven(states)
     assert found.com.value == 1.0, found.com.reason

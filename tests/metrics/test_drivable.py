@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from recast.logs.hdmap import HdMap, Lane, drivable_region
-from recast.metrics.route import drivable_area_compliance
+from recast.metrics.driving import drivable_area_compliance
 
 SIZE = [5.0, 2.0]
 

@@ -12,12 +12,7 @@ from hypothesis import strategies as st
 
 from recast.core.errors import InputError
 from recast.metrics.actor_scores import ScoredCutout, framed, photographed
-from recast.metrics.features import (
-    FEATURE_KINDS,
-    TOY_DIMENSIONS,
-    ToyFeatures,
-    load_embedders,
-)
+from recast.metrics.features import FEATURE_KINDS, TOY_DIMENSIONS, ToyFeatures, load_embedders
 from recast.metrics.inception import CONVOLUTIONS, load_inception
 from support.crops import photograph, two_coloured_box
 

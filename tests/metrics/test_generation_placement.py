@@ -8,12 +8,12 @@ import torch
 
 from recast.actors import Asset, Observation
 from recast.actors.axes import UNIT_CUBE_Y_UP, UNIT_CUBE_Z_UP
-from recast.actors.drawing import look_at
 from recast.actors.observe import observation_of_view
 from recast.core.errors import InputError
 from recast.geometry import se3
+from recast.scene.actor import look_at
 from recast.splats import Gaussians
-from recast.studies.generation.cell import place
+from recast.studies.generation.cells import place
 from support.crops import CAMERA, DISTANCE, SIZE, direction, photograph, two_coloured_box
 
 

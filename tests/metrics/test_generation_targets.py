@@ -13,13 +13,14 @@ from hypothesis import strategies as st
 
 from recast.core.errors import InputError
 from recast.geometry import se3
-from recast.metrics.actor_scores import drawn, photographed
-from recast.metrics.cases import (
+from recast.metrics.actor_scores import (
     ORBIT_PIXELS,
     ActorCase,
     ActorView,
+    drawn,
     elevation_deg,
     orbit_case,
+    photographed,
     read_cases,
     target_case,
 )

@@ -8,9 +8,8 @@ import pytest
 import shapely
 
 from recast.dynamics import PACIFICA
-from recast.metrics import cluster_bootstrap, collision, comfort, exact_bootstrap
-from recast.metrics.collision import no_collision
-from recast.metrics.route import drivable_area_compliance, route_completion
+from recast.metrics import cluster_bootstrap, driving, exact_bootstrap
+from recast.metrics.driving import drivable_area_compliance, no_collision, route_completion
 from recast.simulation.rollout import ego_centre
 
 FOLDER = Path(__file__).parents[1] / "golden" / "planners"
@@ -53,14 +52,11 @@ def test_collision_drivable_and_progress(golden, i):
 @pytest.mark.parametrize("i", range(6))
 @pytest.mark.parametrize(
     ("reading", "column", "future"),
-    [
-        ("realised", TTC, collision.realised_future),
-        ("cv", TTC_CV, collision.constant_velocity_future),
-    ],
+    [("realised", TTC, driving.realised_future), ("cv", TTC_CV, driving.constant_velocity_future)],
 )
 def test_time_to_collision(with_plans, i, reading, column, future):
     ego, actor = with_plans["ego"][i], with_plans["actor"][i]
-    found = collision.time_to_collision(
+    found = driving.time_to_collision(
         ego[STEPS, :3],
         with_plans["predictions"][i],
         SIZE,
@@ -78,14 +74,14 @@ def test_time_to_collision(with_plans, i, reading, column, future):
 @pytest.mark.parametrize("i", range(6))
 def test_comfort_checks(with_plans, i):
     plans, wanted = with_plans["predictions"][i], with_plans["results"][i]
-    headline, strict = comfort.com_hugsim(plans), comfort.com_4_13(plans)
+    headline, strict = driving.com_hugsim(plans), driving.com_4_13(plans)
     np.testing.assert_array_equal(headline.passed, with_plans["comfort_checks"][i])
     np.testing.assert_array_equal(strict.passed, with_plans["comfort_checks_j413"][i])
     assert headline.com.value == wanted[COM] and strict.com.value == wanted[COM_4_13]
 
 
 def test_vocabulary_passes_as_often_as_the_readings_say(vocabulary):
-    readings = (comfort.com_hugsim, comfort.com_4_13, comfort.com_nuplan_savgol)
+    readings = (driving.com_hugsim, driving.com_4_13, driving.com_nuplan_savgol)
     shares = [reading(vocabulary).com.value for reading in readings]
     assert shares == pytest.approx([0.724, 0.437, 0.998], abs=1e-3)
 
@@ -96,14 +92,14 @@ def test_nuplans_smoothed_signals():
     states = golden["comfort.states"]
     ax, ay, rate, rate_change = states[..., 5], states[..., 6], states[..., 9], states[..., 10]
     lon = ax + PACIFICA.centre_offset * (rate**2 + rate_change)
-    signals = comfort.savgol_signals(lon, ay, np.hypot(ax, ay), states[..., 2], 0.1)
+    signals = driving.savgol_signals(lon, ay, np.hypot(ax, ay), states[..., 2], 0.1)
     names = {"jerk": "mag_jerk"}
     for name, values in signals.items():  # the reference rounds to eight decimals, twice for jerk
         wanted = golden[f"comfort.{names.get(name, name)}"]
         np.testing.assert_allclose(values, wanted, rtol=0, atol=3e-8)
     order = ["lon_accel", "lat_accel", "jerk", "lon_jerk", "yaw_accel", "yaw_rate"]
-    limits = {name: comfort.NUPLAN_LIMITS[name] for name in order}
-    passed = comfort.check(signals, limits, strict=True)
+    limits = {name: driving.NUPLAN_LIMITS[name] for name in order}
+    passed = driving.check(signals, limits, strict=True)
     np.testing.assert_array_equal(passed, golden["comfort.pass6"])
 
 

@@ -15,7 +15,6 @@ from recast.core.errors import InputError
 from recast.dynamics import PACIFICA
 from recast.geometry import boxes, se2, se3
 from recast.metrics import ViewSettings, evaluate_oracle_views, logged_views, read_oracle_views
-from recast.metrics.oracle_poses import angle_to_nearest, azimuth_elevation, place_views
 from recast.metrics.oracle_scores import (
     Agreement,
     agreement,
@@ -24,18 +23,9 @@ from recast.metrics.oracle_scores import (
     mask_iou,
     summarise,
 )
+from recast.metrics.oracle_views import angle_to_nearest, azimuth_elevation, place_views
 
-from .box_world import (
-    CAMERA,
-    FACES,
-    MOUNTS,
-    SIZE,
-    BoxOracle,
-    box_log,
-    box_shares,
-    parked_at,
-    scene,
-)
+from .box_world import CAMERA, FACES, MOUNTS, SIZE, BoxOracle, box_log, box_shares, parked_at, scene
 
 LOG = box_log()
 REAR_ONLY = ((-1, 0, 0),)

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from recast.metrics.route import route_completion
+from recast.metrics.driving import route_completion
 
 ROUTE = np.stack([np.linspace(0, 100, 101), np.zeros(101)], axis=-1)
 

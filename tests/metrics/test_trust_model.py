@@ -26,10 +26,8 @@ from recast.metrics.trust import (
     reliability,
     write_calibration,
 )
-from recast.metrics.trust.features import TrustFeatures
-from recast.metrics.trust.model import READ, fit_model, loss
-from recast.metrics.trust.reliability import fit_rollouts, trust_left_out
-from recast.metrics.trust.views import VehicleView
+from recast.metrics.trust.features import TrustFeatures, VehicleView
+from recast.metrics.trust.model import READ, fit_model, fit_rollouts, loss, trust_left_out
 
 TRUE = {"held_out_ssim": 1.2, "view_angle_deg": -0.8, "collision": 0.5}
 INTERCEPT = 0.4

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from recast.metrics import collision
+from recast.metrics import driving
 
 SIZE = [5.0, 2.0]
 
@@ -14,9 +14,9 @@ def plan(speed):
     return waypoints
 
 
-def against(actor, speed, future=collision.realised_future):
+def against(actor, speed, future=driving.realised_future):
     actor = np.asarray(actor, float)
-    return collision.time_to_collision(
+    return driving.time_to_collision(
         np.zeros((1, 3)), plan(speed), SIZE, 0.0, future(actor, [0]), SIZE, [0]
     )
 
@@ -45,14 +45,14 @@ def test_realised_and_constant_velocity_differ_where_the_actor_stops():
     actor[:, 2] = np.pi
     actor[times < 1.0, 3] = 5.0
     assert against(actor, 5.0).ttc.value == 4.0  # standing at 25 m, the ego reaches 22.5 m
-    assert against(actor, 5.0, collision.constant_velocity_future).ttc.value == 2.6
+    assert against(actor, 5.0, driving.constant_velocity_future).ttc.value == 2.6
 
 
 def test_past_the_last_state_the_actor_keeps_its_velocity():
     actor = np.zeros((11, 4))
     actor[:, 0] = 28.0 - 0.5 * np.arange(11)
     actor[:, 2], actor[:, 3] = np.pi, 5.0
-    future = collision.realised_future(actor, [0, 8])
+    future = driving.realised_future(actor, [0, 8])
     np.testing.assert_allclose(future[0, :, 0], 28.0 - 0.5 * np.arange(40))
     np.testing.assert_allclose(future[1, :, 0], 24.0 - 0.5 * np.arange(40))
 
@@ -60,13 +60,13 @@ def test_past_the_last_state_the_actor_keeps_its_velocity():
 def test_an_actor_in_reverse_is_continued_backwards():
     actor = np.zeros((11, 4))
     actor[:, 0], actor[:, 3] = -0.2 * np.arange(11), 2.0
-    future = collision.constant_velocity_future(actor, [0, 10])
+    future = driving.constant_velocity_future(actor, [0, 10])
     np.testing.assert_allclose(future[:, 10, 0], [-2.0, -4.0])
 
 
 def test_without_plans_there_is_no_value():
-    future = collision.realised_future(standing(20.0), np.zeros(0, int))
-    result = collision.time_to_collision(
+    future = driving.realised_future(standing(20.0), np.zeros(0, int))
+    result = driving.time_to_collision(
         np.zeros((0, 3)), np.zeros((0, 40, 3)), SIZE, 0.0, future, SIZE, []
     )
     assert not result.ttc.valid

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from recorded_paths import arc, context, observe
 
+from recast.core.foreign import whole
 from recast.geometry import se2
 from recast.planning import (
     BasePlanner,
@@ -14,7 +15,6 @@ from recast.planning import (
     Planner,
     PlannerInput,
     PlanningContext,
-    whole_planner,
 )
 
 
@@ -93,13 +93,13 @@ class Derived(BasePlanner):
 def test_optional_members_have_defaults() -> None:
     for planner, cameras in ((Bare(), ("front",)), (Derived(), None)):
         assert isinstance(planner, Planner)
-        whole = whole_planner(planner)
-        assert (whole is planner) is isinstance(planner, BasePlanner)
-        assert whole.camera_names == whole.choose_cameras({}) == cameras
-        assert whole.wanted_views == () and whole.device is None and whole.record_fields == {}
-        assert not whole.replays_log and not whole.shared
-        whole.finish_rollout()
-        assert np.all(whole.plan(None).waypoints == 0)  # type: ignore[arg-type]
+        made = whole(planner, BasePlanner)
+        assert (made is planner) is isinstance(planner, BasePlanner)
+        assert made.camera_names == made.choose_cameras({}) == cameras
+        assert made.wanted_views == () and made.device is None and made.record_fields == {}
+        assert not made.replays_log and not made.shared
+        made.finish_rollout()
+        assert np.all(made.plan(None).waypoints == 0)  # type: ignore[arg-type]
 
 
 def test_members_of_another_class_are_used() -> None:
@@ -113,10 +113,10 @@ def test_members_of_another_class_are_used() -> None:
             self.done = True
 
     planner = Own()
-    whole = whole_planner(planner)
-    assert whole.record_fields == {"weights": "v2"} and whole.shared
-    assert whole.choose_cameras({}) == {"mine": "left"}
-    whole.finish_rollout()
+    made = whole(planner, BasePlanner)
+    assert made.record_fields == {"weights": "v2"} and made.shared
+    assert made.choose_cameras({}) == {"mine": "left"}
+    made.finish_rollout()
     assert planner.done
 
 
@@ -125,7 +125,7 @@ def test_a_slip_in_an_optional_name_is_warned_about() -> None:
         wanted_veiws = ()
 
     with pytest.warns(UserWarning, match=r"Slipped has wanted_veiws.* is it wanted_views\?"):
-        whole_planner(Slipped())
+        whole(Slipped(), BasePlanner)
     with pytest.warns(UserWarning, match=r"has finish_rolout.* is it finish_rollout\?"):
 
         class Also(BasePlanner):

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from recast.geometry import Polyline, se2
 from recast.logs.types import DrivingLog, Track, Trajectory
-from recast.metrics.route import route_completion
+from recast.metrics.driving import route_completion
 from recast.planning import IdmLaneFollower, LogReplay, ReferenceRoute
 from recast.simulation import LoggedMotion as Parked
 from recast.simulation import RolloutSetup, Stationary, run_rollout

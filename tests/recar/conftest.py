@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import pytest
 
-from recast.recar.targets import ModelSource, TargetCache, build_targets
+from recast.recar.target_cache import TargetCache
+from recast.recar.target_maker import ModelSource
+from recast.recar.targets import build_targets
 from support.target_places import SETTINGS, Places
 from support.trellis_folder import write_golden_model
 from support.vehicle_pictures import write_vehicles

@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 from PIL import Image
 
-from recast.recar.ingest import IngestSettings
+from recast.recar.ingest_table import IngestSettings
 
 VIEWS, WIDTH, HEIGHT = 4, 60, 40
 SETTINGS = IngestSettings("CC-BY-4.0", "drawn by the tests", VIEWS, WIDTH, HEIGHT)

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
+from recast.arrays import Image
 from recast.recar import (
     IdentityRecord,
     SetRecord,
@@ -17,7 +18,6 @@ from recast.recar import (
     split_of,
     write_identity,
 )
-from recast.recar.views import Image
 
 WIDTH, HEIGHT, VIEWS = 48, 32, 4
 KINDS = ("sedan", "van", "sedan")

@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -7,7 +9,7 @@ from hypothesis import strategies as st
 
 from recast.cameras import box_rectangle
 from recast.geometry import se3
-from recast.recar import camera_pose, fitting_distance, pinhole, view_camera
+from recast.recar import Identity, camera_pose, fitting_distance, pinhole
 
 from .sets import identity_record, set_record
 
@@ -16,7 +18,7 @@ FRONT, LEFT, TOP = np.array([2.0, 0, 0]), np.array([0, 0.9, 0]), np.array([0, 0,
 
 def pixel(point: np.ndarray, view: int) -> np.ndarray:
     record = set_record(1)
-    camera, actor_from_camera = view_camera(record, identity_record(0), view)
+    camera, actor_from_camera = Identity(Path(), identity_record(0), record).camera(view)
     pixels, depth = camera.project(se3.apply(se3.inverse(actor_from_camera), point[None]))
     assert depth[0] > 0
     return pixels[0]
@@ -42,7 +44,7 @@ def test_from_behind_and_from_the_right() -> None:
 
 
 def test_the_camera_stands_where_azimuth_and_elevation_say() -> None:
-    _, pose = view_camera(set_record(1), identity_record(0), 1)
+    _, pose = Identity(Path(), identity_record(0), set_record(1)).camera(1)
     expected = 8.0 * np.array([0, np.cos(np.radians(15)), np.sin(np.radians(15))])
     assert pose[:3, 3] == pytest.approx(expected)
     assert np.linalg.det(pose[:3, :3]) == pytest.approx(1)
@@ -57,7 +59,7 @@ def test_the_angle_of_view_is_across_the_width() -> None:
 
 def test_a_view_that_is_not_there() -> None:
     with pytest.raises(IndexError, match="views 0 to 3"):
-        view_camera(set_record(1), identity_record(0), 4)
+        Identity(Path(), identity_record(0), set_record(1)).camera(4)
 
 
 @settings(deadline=None, max_examples=15)

@@ -13,21 +13,19 @@ from safetensors.torch import load_file, save_file
 from recast.core import files
 from recast.core.errors import InputError
 from recast.recar import read_real_crops, read_set
-from recast.recar.ingest.settings import read_table
+from recast.recar.ingest import read_doubts
+from recast.recar.ingest_table import read_table
 from recast.recar.perturb import read_perturbations
-from recast.recar.screening import Screening
-from recast.recar.shards import pack_set, read_shards
-from recast.recar.targets import TargetCache
-from recast.recar.training.output import read_training_record
-from recast.recar.training.stage_config import read_stage_config
+from recast.recar.target_cache import TargetCache
+from recast.recar.training_config import read_stage_config, read_training_record
 from recast.training.loop import train
 from recast.training.state import STATE_FILE, steps_done
 from recast.training.task import read_log_lines
 from recast_tools.small_model.asset_synthesis import AssetsRecord, make_assets
 from support.crops import write_crops
 from support.line_task import SETTINGS, Line
+from support.target_caches import write_cache
 
-from .screenings import write_cache
 from .sets import write_set
 
 DAMAGE = {
@@ -48,15 +46,8 @@ def made_set(root: Path) -> Path:
     return write_set(root / "set").folder
 
 
-def made_shards(root: Path) -> Path:
-    pack_set(write_set(root / "set"), root / "shards")
-    return root / "shards"
-
-
 def made_cache(root: Path) -> Path:
-    folder = write_cache(root / "cache").folder
-    Screening(folder).decide("car-0", "accept")
-    return folder
+    return write_cache(root / "cache").folder
 
 
 def made_crops(root: Path) -> Path:
@@ -68,18 +59,12 @@ def made_file(root: Path) -> Path:
     return root / "file"
 
 
-def first_view(folder: Path) -> None:
-    for identity in read_shards(folder).identities.values():
-        identity.view(0)
-
-
 READERS: list[tuple[Callable[[Path], Path], str, Callable[[Path], object]]] = [
     (made_set, "set.json", read_set),
     (made_set, "car-1/identity.json", read_set),
-    (made_shards, "index.json", read_shards),
+    (made_set, "ingest.json", read_doubts),
     (made_cache, "cache.json", TargetCache.open),
     (made_cache, "records/car-0.json", TargetCache.open),
-    (made_cache, "screening.json", Screening),
     (made_crops, "car-a/input_views/camera.json", read_real_crops),
     (made_file, "vehicles.json", lambda f: read_table(f / "vehicles.json")),
     (made_file, "stage.json", lambda f: read_stage_config(f / "stage.json")),
@@ -111,16 +96,6 @@ def test_damage_is_one_line_that_names_the_file(
         read(folder)
     assert path.name in str(caught.value)
     assert len(str(caught.value)) <= 300 and "\n" not in str(caught.value)
-
-
-@pytest.mark.parametrize("name", DAMAGE)
-def test_a_record_within_a_shard(tmp_path: Path, name: str) -> None:
-    """Its hash is right: it was packed so."""
-    found = write_set(tmp_path / "set")
-    (found.folder / "car-0" / "identity.json").write_bytes(DAMAGE[name])
-    pack_set(found, tmp_path / "shards")
-    with pytest.raises(InputError, match=r"car-0\.identity\.json"):
-        _ = read_shards(tmp_path / "shards").identities["car-0"].record
 
 
 @pytest.fixture(scope="module")

@@ -1,4 +1,4 @@
-"""Names from outside through ingest, sets, shards, caches and the page: refused, or shown as text.
+"""Names from outside through ingest, sets, caches and the screening: refused, or shown as text.
 
 An identity is named by plain letters; whatever else a file says is refused before a path is made
 of it. Texts for people (kinds, colours, licences) may hold anything and must come out as text.
@@ -6,10 +6,9 @@ of it. Texts for people (kinds, colours, licences) may hold anything and must co
 
 from __future__ import annotations
 
-import json
+import csv
 from io import StringIO
 from pathlib import Path
-from urllib.parse import quote
 
 import pytest
 from rich.console import Console
@@ -18,15 +17,13 @@ from recast.cli.recar_sets import Ingest
 from recast.core import files
 from recast.core.errors import InputError
 from recast.recar import read_set, set_statistics, statistics_table
-from recast.recar.figure import write_figure
-from recast.recar.screening import Screening
-from recast.recar.screening.service import RefusedDecisionError, ScreeningService
-from recast.recar.shards import pack_set, read_shards
-from recast.recar.targets import TargetCache
+from recast.recar.screening import read_decisions, screened_vehicles, write_screening
+from recast.recar.statistics import write_overview
+from recast.recar.target_cache import TargetCache
+from support.target_caches import write_cache
 
 from .photographs import VIEWS, write_photos
-from .screenings import write_cache
-from .sets import identity_record, pictures, set_record, tree, write_set
+from .sets import tree, write_set
 
 NAMES = [
     "../x",
@@ -89,19 +86,12 @@ def test_a_folder_named_in_the_table_is_below_the_photographs(tmp_path: Path, na
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_sets_shards_and_caches_refuse_them(tmp_path: Path, name: str) -> None:
+def test_sets_caches_and_tables_refuse_them(tmp_path: Path, name: str) -> None:
     folder = write_set(tmp_path / "set").folder
     record = files.read_json(folder / "car-0" / "identity.json")
-    pack_set(read_set(folder), tmp_path / "shards")
     files.write_json(folder / "car-0" / "identity.json", record | {"id": name})
     with pytest.raises(InputError, match=r"identity\.json: id: "):
         read_set(folder)
-
-    index = files.read_json(tmp_path / "shards" / "index.json")
-    index["shards"][0]["identities"][0] = name
-    files.write_json(tmp_path / "shards" / "index.json", index)
-    with pytest.raises(InputError, match=r"index\.json: shards\.0\.identities\.0: "):
-        read_shards(tmp_path / "shards")
 
     cache = write_cache(tmp_path / "cache").folder
     one = files.read_json(cache / "records" / "car-0.json")
@@ -109,34 +99,11 @@ def test_sets_shards_and_caches_refuse_them(tmp_path: Path, name: str) -> None:
     with pytest.raises(InputError, match=r"car-0\.json: id: "):
         TargetCache.open(cache)
 
-
-@pytest.mark.parametrize("name", NAMES)
-def test_screening_refuses_them(tmp_path: Path, name: str) -> None:
-    cache = write_cache(tmp_path / "cache")
-    (tmp_path / "x.json").write_text("{}")
-    before = tree(tmp_path)
-    with pytest.raises(InputError, match="is not in the cache"):
-        Screening(cache.folder).decide(name, "reject")
-    service = ScreeningService(cache)
-    for ask in (
-        lambda: service.decide({"id": name, "decision": "reject"}),
-        lambda: service.items({"at": name}),
-        lambda: service.items({"after": name}),
-        lambda: service.preview(name),
-        lambda: service.input_view(name, "front"),
-        lambda: service.input_view("car-0", name),
-    ):
-        with pytest.raises(RefusedDecisionError) as refused:
-            ask()
-        json.dumps(refused.value.answer)
-    assert service.search({"text": name})["ids"] == []
-    (cache.folder / ".screening.lock").unlink()
-    assert tree(tmp_path) == before
-    record = {"format": "recast-screening", "version": 1, "decisions": {name: "reject"}}
-    files.write_json(cache.folder / "screening.json", record)
-    with pytest.raises(InputError, match=r"screening\.json: decisions\."):
-        Screening(cache.folder)
-    assert quote(name, safe="") or not name
+    with (folder / "screening.csv").open("w", newline="") as stream:
+        csv.writer(stream).writerows([["id", "keep"], [name, "no"]])
+    with pytest.raises(InputError, match=r"screening\.csv: line \d+") as caught:
+        read_decisions(folder, ["car-0"])
+    assert "\n" not in str(caught.value)
 
 
 @pytest.mark.parametrize("model", ["../../x", "/x", "a\0b", "..", "a" * 300])
@@ -170,5 +137,6 @@ def test_texts_for_people_come_out_as_text(tmp_path: Path, text: str) -> None:
     assert "\x1b[31m" not in printed and "\u202e" not in printed and "\0" not in printed
     if words.isprintable() and words.isascii() and len(words) < 40:
         assert words in printed
-    write_figure(found, statistics, tmp_path / "figure")
-    assert set_record(name=words) and identity_record(0, kind=words) and pictures(0)
+    write_overview(found, statistics, tmp_path / "overview.png")
+    write_screening(folder, found.identities, screened_vehicles(found))
+    assert read_decisions(folder, found.identities) == {}

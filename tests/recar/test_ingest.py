@@ -14,8 +14,8 @@ from PIL import Image
 
 from recast.core.errors import InputError
 from recast.recar import read_set
-from recast.recar.ingest import IngestSettings, ingest_photographs
-from recast.recar.ingest.ingest import IngestReport
+from recast.recar.ingest import IngestReport, ingest_photographs
+from recast.recar.ingest_table import IngestSettings
 
 from .photographs import HEIGHT, SETTINGS, VIEWS, WIDTH, photograph, write_photos, write_rows
 from .sets import tree

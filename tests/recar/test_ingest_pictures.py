@@ -20,9 +20,17 @@ from recast.actors.grounded_segmenter import Detection
 from recast.core import files
 from recast.core.errors import InputError
 from recast.recar import read_set
-from recast.recar.ingest import DUPLICATE_BITS, ingest_photographs, perceptual_hash
-from recast.recar.ingest.duplicates import SeenPictures, distances
-from recast.recar.ingest.photograph import fit, natural_order, photograph_size, read_photograph
+from recast.recar.ingest import ingest_photographs
+from recast.recar.ingest_photograph import (
+    SeenPictures,
+    distances,
+    fit,
+    natural_order,
+    perceptual_hash,
+    photograph_size,
+    read_photograph,
+)
+from recast.recar.ingest_table import DUPLICATE_BITS
 
 from .photographs import SETTINGS, car_before_a_wall, over_wall, photograph, write_photos
 from .sets import write_set

@@ -18,25 +18,18 @@ from recast.core import files
 from recast.core.errors import InputError
 from recast.recar import read_set
 from recast.recar.ingest import ingest_photographs
-from recast.recar.screening import Screening
-from recast.recar.shards import pack_set
+from recast.recar.screening import read_decisions, screened_vehicles, write_screening
 from recast.recar.targets import build_targets
 from recast.training.loop import train
 from support.line_task import SETTINGS as TRAINING
 from support.line_task import Line
-from support.moments import (
-    changes_of,
-    killed_before,
-    said_on_a_full_disk,
-    said_on_a_read_only_disk,
-)
+from support.moments import changes_of, killed_before, said_on_a_full_disk, said_on_a_read_only_disk
 from support.target_places import SETTINGS as TARGETS
 from support.target_places import Places
 from support.tiny_stage import TinyStage, train_quietly, write_tiny_stage
 
 from .photographs import SETTINGS as PHOTOS
 from .photographs import write_photos
-from .screenings import write_cache
 from .sets import tree, write_set
 
 KILLS = 10
@@ -78,22 +71,16 @@ def photos(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="module")
-def folders(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return write_set(tmp_path_factory.mktemp("folders") / "set", 5).folder
-
-
-@pytest.fixture(scope="module")
 def stage(tmp_path_factory: pytest.TempPathFactory) -> TinyStage:
     return write_tiny_stage(tmp_path_factory.mktemp("stage"))
 
 
 @pytest.fixture(scope="module")
-def runs(photos: Path, folders: Path, stage: TinyStage, places: Places) -> dict[str, Run]:
+def runs(photos: Path, stage: TinyStage, places: Places) -> dict[str, Run]:
     """What writes, by name."""
     steps = {"steps": 2, "checkpoint_every": 1, "log_every": 1}
     return {
         "ingest": lambda out: ingest_photographs(photos, out, PHOTOS, None),
-        "pack": lambda out: pack_set(read_set(folders), out, 6000),
         "targets": lambda out: build_targets(*places, out, TARGETS, identities=["car-0"]),
         "training": lambda out: train(Line(), TRAINING, out),
         "stage": lambda out: train_quietly(
@@ -102,7 +89,7 @@ def runs(photos: Path, folders: Path, stage: TinyStage, places: Places) -> dict[
     }
 
 
-@pytest.mark.parametrize("name", ["ingest", "pack", "training", "stage"])
+@pytest.mark.parametrize("name", ["ingest", "training", "stage"])
 def test_kills_change_nothing(runs: dict[str, Run], tmp_path: Path, name: str) -> None:
     """Of targets see test_targets_kills.py."""
     survives(runs[name], tmp_path)
@@ -121,7 +108,7 @@ def test_a_training_killed_between_changes_repeats_its_steps(tmp_path: Path) -> 
         assert untimed(out) == expected, step
 
 
-@pytest.mark.parametrize("name", ["ingest", "pack", "targets", "training", "stage"])
+@pytest.mark.parametrize("name", ["ingest", "targets", "training", "stage"])
 def test_a_read_only_disk_is_one_line(runs: dict[str, Run], tmp_path: Path, name: str) -> None:
     out = tmp_path / "out"
     said = said_on_a_read_only_disk(lambda: runs[name](out), out)
@@ -137,7 +124,7 @@ def test_a_read_only_disk_is_one_line(runs: dict[str, Run], tmp_path: Path, name
 
 
 @pytest.mark.parametrize("size", [0, 700])
-@pytest.mark.parametrize("name", ["ingest", "pack", "targets", "training", "stage"])
+@pytest.mark.parametrize("name", ["ingest", "targets", "training", "stage"])
 def test_a_disk_without_room_is_one_line_and_the_same_call_goes_on(
     runs: dict[str, Run], tmp_path: Path, name: str, size: int
 ) -> None:
@@ -150,7 +137,7 @@ def test_a_disk_without_room_is_one_line_and_the_same_call_goes_on(
     assert untimed(out) == untimed(tmp_path / "out")
 
 
-@pytest.mark.parametrize("name", ["ingest", "pack", "targets", "training", "stage"])
+@pytest.mark.parametrize("name", ["ingest", "targets", "training", "stage"])
 def test_a_second_process_is_told_that_the_first_is_at_work(
     runs: dict[str, Run], tmp_path: Path, name: str
 ) -> None:
@@ -165,22 +152,23 @@ def test_a_second_process_is_told_that_the_first_is_at_work(
     runs[name](out)
 
 
-def test_a_decision_is_whole_or_not_there(tmp_path: Path) -> None:
-    folder = write_cache(tmp_path / "cache").folder
-    Screening(folder).decide("car-0", "reject")
-    before = tree(folder)
+def test_a_table_of_decisions_is_whole_and_never_lost(tmp_path: Path) -> None:
+    """Screened again, what the person wrote stays whatever happens in between."""
+    cars = write_set(tmp_path / "set", 3)
+    table = cars.folder / "screening.csv"
 
-    def decide() -> None:
-        Screening(folder).decide("car-1", "accept")
+    def screen() -> None:
+        found = read_set(cars.folder)
+        write_screening(found.folder, found.identities, screened_vehicles(found))
 
-    assert ": disk: " in said_on_a_full_disk(decide)
-    assert "read-only" in said_on_a_read_only_disk(decide, folder)
-    assert tree(folder) == before
-    for change in range(changes_of(decide, folder)):
-        killed_before(change, decide, folder)
-        assert dict(Screening(folder).decisions) in (
-            {"car-0": "reject"},
-            {"car-0": "reject", "car-1": "accept"},
-        )
-    decide()
-    assert Screening(folder).decision("car-1") == "accept"
+    screen()
+    table.write_text(table.read_text().replace("not checked,,", "not checked,no,rust", 1))
+    screen()
+    before = tree(cars.folder)
+    assert ": disk: " in said_on_a_full_disk(screen)
+    assert "read-only" in said_on_a_read_only_disk(screen, cars.folder)
+    for change in range(changes_of(screen, cars.folder)):
+        killed_before(change, screen, cars.folder)
+        assert read_decisions(cars.folder, cars.identities) == {"car-0": "no"}
+    screen()
+    assert {n: d for n, d in tree(cars.folder).items() if ".partial" not in n} == before

@@ -9,8 +9,9 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from recast.recar.ingest import IngestSettings, ingest_photographs
-from recast.recar.ingest.outlines import outline_doubts
+from recast.recar.ingest import ingest_photographs
+from recast.recar.ingest_photograph import outline_doubts
+from recast.recar.ingest_table import IngestSettings
 from support.vehicle_outlines import turntable_alphas
 
 VIEWS = 24

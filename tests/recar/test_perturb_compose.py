@@ -14,10 +14,10 @@ from recast.recar.perturb import (
     PerturbationConfig,
     perturb,
     read_perturbations,
+    surroundings,
     write_perturbations,
 )
-from recast.recar.perturb.compose import surroundings
-from recast.recar.perturb.kind import find_object
+from recast.recar.perturb_kind import find_object
 from recast.trellis import check_crop
 
 from .perturb_cars import drawn_car

@@ -7,7 +7,7 @@ import pytest
 
 from recast.geometry.colour import linear_to_srgb, srgb_to_linear
 from recast.recar.perturb import PerturbationConfig
-from recast.recar.perturb.camera import (
+from recast.recar.perturb_camera import (
     convolve,
     disc_kernel,
     koschmieder,
@@ -17,7 +17,7 @@ from recast.recar.perturb.camera import (
     sensor_noise,
     through_jpeg,
 )
-from recast.recar.perturb.kind import (
+from recast.recar.perturb_kind import (
     ObjectBox,
     backdrop,
     premultiplied,
@@ -27,7 +27,7 @@ from recast.recar.perturb.kind import (
     straight,
     value_noise,
 )
-from recast.recar.perturb.occlusion import occlude
+from recast.recar.perturb_outline import occlude
 
 
 def red_square(side: int = 40, edge: int = 20) -> np.ndarray:

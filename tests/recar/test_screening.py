@@ -1,223 +1,187 @@
+"""screening.csv and the contact sheets: what they show, keep and refuse, and who uses them."""
+
 from __future__ import annotations
 
-import json
-import threading
-from datetime import UTC, datetime
+import csv
 from pathlib import Path
-from typing import get_args
 
+import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from PIL import Image
 
-from recast.core import files
+from recast.cli.main import main
 from recast.core.errors import InputError
-from recast.recar.screening import DECISIONS, Conflict, Decision, Screening
-from recast.recar.targets.decisions import change_line, record_text
+from recast.core.files import read_json, write_json
+from recast.recar import VehicleSet, read_set, set_statistics
+from recast.recar.screening import read_decisions, screened_vehicles, write_screening
+from recast.recar.statistics import swatch, write_overview
+from recast.recar.target_cache import TargetCache
+from recast.recar.targets import screened_targets
+from support.target_caches import write_cache
+from support.tiny_stage import tiny_config
+from support.trellis_folder import write_golden_model
 
-NAMES = ("a", "b", "c")
-
-
-@pytest.fixture
-def folder(tmp_path: Path) -> Path:
-    return make(tmp_path)
-
-
-def make(folder: Path) -> Path:
-    for name in NAMES:
-        files.write_json(folder / "records" / f"{name}.json", {})
-    return folder
+from .photographs import write_photos
+from .sets import tree, write_set
 
 
-def stored(folder: Path) -> dict[str, Decision]:
-    """What another program reads."""
-    record = json.loads((folder / "screening.json").read_text())
-    assert (record["format"], record["version"]) == ("recast-screening", 1)
-    found: dict[str, Decision] = record["decisions"]
-    return found
+def screen(cars: VehicleSet) -> list[dict[str, str]]:
+    write_screening(cars.folder, cars.identities, screened_vehicles(cars))
+    return rows(cars.folder)
 
 
-def test_nothing_is_decided_without_a_file(folder: Path) -> None:
-    screening = Screening(folder)
-    assert dict(screening.decisions) == {}
-    assert screening.decision("a") is None
-    assert screening.undo() is None
-    assert screening.decisions == {}
-    assert not (folder / "screening.json").exists()
-    assert get_args(Decision) == DECISIONS
+def rows(folder: Path) -> list[dict[str, str]]:
+    with (folder / "screening.csv").open(newline="") as stream:
+        return list(csv.DictReader(stream))
 
 
-def test_each_decision_is_in_the_file_with_its_time(folder: Path) -> None:
-    screening, start = Screening(folder), datetime.now(UTC).replace(microsecond=0)
-    screening.decide("a", "reject")
-    assert stored(folder) == {"a": "reject"}
-    screening.decide("b", "reject")
-    screening.decide("a", "accept")
-    assert stored(folder) == {"a": "accept", "b": "reject"}
-    assert sorted(screening.decisions.values()) == ["accept", "reject"]
-    changes = screening.changes(0)
-    assert [(c.id, c.before, c.after) for c in changes] == [
-        ("a", None, "reject"),
-        ("b", None, "reject"),
-        ("a", "reject", "accept"),
+def write_rows(folder: Path, values: list[dict[str, str]], delimiter: str = ",") -> None:
+    with (folder / "screening.csv").open("w", newline="", encoding="utf-8-sig") as stream:
+        writer = csv.DictWriter(stream, list(values[0]), delimiter=delimiter)
+        writer.writeheader()
+        writer.writerows(values)
+
+
+def test_a_row_a_vehicle_with_its_figures(tmp_path: Path) -> None:
+    cars = write_set(tmp_path / "set", 3)
+    write_json(cars.folder / "ingest.json", {"skipped": [], "doubts": {"car-1": ["a hole", "dim"]}})
+    found = screen(cars)
+    assert [(row["number"], row["id"]) for row in found] == [
+        ("1", "car-0"),
+        ("2", "car-1"),
+        ("3", "car-2"),
     ]
-    assert all(start <= change.time <= datetime.now(UTC) for change in changes)
+    assert [row["verdict"] for row in found] == ["ok", "a hole; dim", "ok"]
+    assert found[1]["length_m"] == "4.6" and found[1]["split"] == "held-out"
+    assert found[0]["covered_percent"] == f"{100 * 16 * 33 / (48 * 32):.1f}"
+    assert found[0]["keep"] == found[0]["note"] == ""
+    assert read_set(cars.folder).identities.keys() == cars.identities.keys()
 
 
-def test_the_same_decision_again_is_no_change(folder: Path) -> None:
-    screening = Screening(folder)
-    screening.decide("a", "reject")
-    screening.decide("a", "reject")
-    assert screening.revision == 1
-    screening.undo()
-    assert screening.decision("a") is None
-
-
-def test_undo_goes_back_through_earlier_sessions(folder: Path) -> None:
-    first = Screening(folder)
-    first.decide("a", "accept")
-    first.decide("b", "reject")
-    second = Screening(folder)
-    second.decide("a", "reject")
-    undone = [second.undo(), Screening(folder).undo(), Screening(folder).undo()]
-    assert [change and change.id for change in undone] == ["a", "b", "a"]
-    assert stored(folder) == {}
-    last = Screening(folder)
-    assert last.undo() is None
-    assert last.revision == 6  # every key press is on record
-
-
-@settings(max_examples=25, deadline=None)
-@given(
-    st.lists(
-        st.one_of(st.tuples(st.sampled_from(NAMES), st.sampled_from(DECISIONS)), st.none()),
-        max_size=12,
-    )
-)
-def test_any_presses_read_back_as_they_were_made(
-    tmp_path_factory: pytest.TempPathFactory, presses: list[tuple[str, Decision] | None]
-) -> None:
-    folder = make(tmp_path_factory.mktemp("cache"))
-    screening, states = Screening(folder), [{}]
-    for press in presses:
-        if press is None:
-            screening.undo()
-            states = states[:-1] or [{}]
-        elif states[-1].get(press[0]) != press[1]:
-            screening.decide(*press)
-            states.append({**states[-1], press[0]: press[1]})
-        assert dict(Screening(folder).decisions) == states[-1]
-
-
-def test_unknown_targets_and_decisions_are_refused(folder: Path) -> None:
-    (folder / "secret.json").write_text("{}")
-    for name in ("d", "", "../secret", "records/a", "a/../a", "/a", "..", "a\0"):
-        with pytest.raises(InputError, match="not in the cache"):
-            Screening(folder).decide(name, "accept")
-    with pytest.raises(InputError, match="decision"):
-        Screening(folder).decide("a", "maybe")  # type: ignore[arg-type]
-    assert not (folder / "screening.json").exists()
-
-
-def test_what_another_process_wrote_is_kept(folder: Path) -> None:
-    one, other = Screening(folder), Screening(folder)
-    one.decide("a", "accept")
-    other.decide("b", "reject")
-    one.decide("c", "accept")
-    assert stored(folder) == {"a": "accept", "b": "reject", "c": "accept"}
-    other.refresh()
-    assert other.decision("c") == "accept"
-
-
-def test_a_decision_that_was_not_seen_is_not_overruled(folder: Path) -> None:
-    one, other = Screening(folder), Screening(folder)
-    seen = one.revision
-    other.decide("a", "reject")
-    one.decide("b", "accept", revision=seen)  # about another target: no conflict
-    with pytest.raises(Conflict) as caught:
-        one.decide("a", "accept", revision=seen)
-    assert caught.value.id == "a"
-    with pytest.raises(Conflict):
-        other.undo(revision=1)
-    assert stored(folder) == {"a": "reject", "b": "accept"}
-    one.decide("a", "accept", revision=one.revision)
-    assert stored(folder)["a"] == "accept"
-
-
-def test_threads_lose_nothing(tmp_path: Path) -> None:
-    names = [f"v{index}" for index in range(24)]
-    for name in names:
-        files.write_json(tmp_path / "records" / f"{name}.json", {})
-    screenings = [Screening(tmp_path), Screening(tmp_path)]
-
-    def press(part: int) -> None:
-        for name in names[part::4]:
-            screenings[part % 2].decide(name, "accept")
-
-    threads = [threading.Thread(target=press, args=(part,)) for part in range(4)]
-    for thread in threads:
-        thread.start()
-    for thread in threads:
-        thread.join()
-    assert stored(tmp_path) == dict.fromkeys(names, "accept")
-
-
-def test_a_file_written_by_hand_needs_no_history(folder: Path) -> None:
-    record = {"format": "recast-screening", "version": 1, "decisions": {"b": "accept"}}
-    (folder / "screening.json").write_text(json.dumps(record))
-    screening = Screening(folder)
-    assert screening.decision("b") == "accept"
-    assert screening.undo() is None
-    screening.decide("b", "reject")
-    screening.undo()
-    assert stored(folder) == {"b": "accept"}
+def test_what_the_person_wrote_stays(tmp_path: Path) -> None:
+    """Also from a spreadsheet that separates by semicolons, writes a mark and adds a column."""
+    cars = write_set(tmp_path / "set", 3)
+    before = screen(cars)
+    mine = {"keep": "No ", "note": "rust, dents", "by": "Ann"}
+    write_rows(cars.folder, [before[0] | {"by": ""}, before[2] | mine], ";")
+    after = screen(read_set(cars.folder))
+    assert [after[2][name] for name in mine] == ["no", "rust, dents", "Ann"]
+    assert read_decisions(cars.folder, cars.identities) == {"car-2": "no"}
+    assert set_statistics(cars).left_out == set_statistics(cars).decided == 1
+    assert screen(cars) == after
 
 
 @pytest.mark.parametrize(
-    ("text", "field"),
+    ("text", "line"),
     [
-        ("{", "JSON"),
-        ("[]", "JSON"),
-        ('{"format": "other", "version": 1, "decisions": {}}', "format"),
-        ('{"format": "recast-screening", "version": 2, "decisions": {}}', "version"),
-        ('{"format": "recast-screening", "version": 1, "decisions": {"a": "yes"}}', "decisions.a"),
-        (
-            '{"format": "recast-screening", "version": 1, "decisions": {}, "history": [{"id": "a", '
-            '"before": null, "after": null, "time": "2026-01-01T00:00:00Z", "undo": true}]}',
-            "record",
-        ),
+        ("id,note\ncar-0,x\n", "line 1: keep: is not a column"),
+        ("name,keep\ncar-0,no\n", "line 1: id: is not a column"),
+        ("id,keep\ncar-0,no\ncar-9,no\n", "line 3: id: 'car-9' is not in set"),
+        ("id,keep\ncar-0,no\ncar-0,yes\n", "line 3: id: car-0 has two rows"),
+        ("id,keep\ncar-0,maybe\n", "line 2: keep: is 'maybe'"),
+        ("id,keep\ncar-0,no,a,b\n", "line 2: more cells than columns"),
+        ("id,keep\n,no\n", "line 2: id: '' is not in set"),
+        ("", "line 1: id: is not a column"),
     ],
 )
-def test_a_broken_file_is_one_clear_line(folder: Path, text: str, field: str) -> None:
-    (folder / "screening.json").write_text(text)
-    with pytest.raises(InputError) as caught:
-        Screening(folder)
-    assert caught.value.field == field
-    assert (folder / "screening.json").read_text() == text
+def test_a_bad_table_is_one_line(
+    tmp_path: Path, text: str, line: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    cars = write_set(tmp_path / "set", 3)
+    (cars.folder / "screening.csv").write_text(text)
+    before = tree(cars.folder)
+    for command in ("screen", "stats"):
+        assert main(["recar", command, str(cars.folder)]) == 2
+        said = capsys.readouterr().err
+        assert f"screening.csv: {line}" in said and said.count("\n") == 1 and "; " in said
+    assert tree(cars.folder) == before
 
 
-def test_a_disk_that_is_full_changes_nothing(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    screening = Screening(folder)
-    screening.decide("a", "accept")
+def test_sheets_are_full_numbered_and_never_stale(tmp_path: Path) -> None:
+    cars = write_set(tmp_path / "set", 3)
+    (cars.folder / "screening-0009.png").write_bytes(b"of a larger set")
+    made = write_screening(cars.folder, cars.identities, screened_vehicles(cars))
+    assert (made.sheets, made.vehicles, made.doubted, made.left_out) == (1, 3, 3, 0)
+    assert [path.name for path in cars.folder.glob("*.png")] == ["screening-0001.png"]
+    with Image.open(cars.folder / "screening-0001.png") as image:
+        sheet = np.array(image)
+    assert sheet.shape[2] == 3 and sheet.shape[0] < 400
+    # The three cells show the rectangles: red, and greener from view to view.
+    assert np.count_nonzero((sheet == (200, 40, 10)).all(axis=-1)) > 100
 
-    def full(path: Path, text: str) -> None:
-        raise InputError(path, "disk", "no space left while writing", "free some space")
-
-    with monkeypatch.context() as context:
-        context.setattr(files, "write_text", full)
-        with pytest.raises(InputError, match="no space"):
-            screening.decide("b", "reject")
-        with pytest.raises(InputError, match="no space"):
-            screening.undo()
-    assert screening.decision("b") is None
-    assert stored(folder) == {"a": "accept"}
-    screening.decide("b", "reject")
-    assert stored(folder) == {"a": "accept", "b": "reject"}
+    many = write_set(tmp_path / "many", 25)
+    made = write_screening(many.folder, many.identities, screened_vehicles(many))
+    assert made.sheets == len(list(many.folder.glob("screening-*.png"))) == 2
 
 
-def test_lines_of_the_file_are_json(folder: Path) -> None:
-    assert json.loads(record_text({}, []))["history"] == []
-    screening = Screening(folder)
-    screening.decide("a", "accept")
-    change = screening.changes(0)[0]
-    assert "undo" not in json.loads(change_line(change))
+def test_targets_are_screened_by_their_contact_sheets(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    cache = write_cache(tmp_path / "cache", (0.9, 0.8, 0.2, None))
+    path = cache.folder / "records" / "car-0.json"
+    write_json(path, read_json(path) | {"score_flipped": 0.95})
+    assert main(["recar", "screen", str(cache.folder)]) == 0
+    assert "3 vehicles, 2 to look at, 0 decided" in capsys.readouterr().out
+    found = rows(cache.folder)
+    assert [row["verdict"] for row in found] == [
+        "agrees better with front and rear exchanged",
+        "ok",
+        "score below the threshold 0.5",
+    ]
+    assert found[2]["score"] == "0.2" and int(found[0]["voxels"]) > 0
+    found[0]["keep"] = "no"
+    write_rows(cache.folder, found)
+    assert TargetCache.open(cache.folder).ids() == ("car-1",)
+    cache.preview_path("car-1").write_bytes(b"GIF")
+    with pytest.raises(InputError, match=r"car-1\.png"):
+        list(screened_targets(cache))
+
+
+def test_the_overview_shows_vehicles_and_shares(tmp_path: Path) -> None:
+    cars = write_set(tmp_path / "set", 3)
+    write_overview(cars, set_statistics(cars), tmp_path / "sheet.png")
+    with Image.open(tmp_path / "sheet.png") as image:
+        sheet = np.array(image)
+
+    def length(name: str) -> int:
+        return np.count_nonzero((sheet[:, 400:] == swatch(name)).all(axis=-1).any(axis=0))
+
+    assert length("white") == pytest.approx(2 * length("red"), abs=3) and length("red") > 100
+    assert swatch("rosybrown") == (188, 143, 143) and swatch("mud") is None
+
+
+def test_from_photographs_to_a_model_without_the_vehicles_left_out(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The whole way: ingest, screen, edit the table, stats, targets, train."""
+    photos = write_photos(tmp_path / "photos", 4, split="train")
+    cars, cache, model = tmp_path / "set", tmp_path / "cache", write_golden_model(tmp_path / "m")
+
+    def run(*args: object) -> str:
+        assert main(["recar", *map(str, args)]) == 0
+        return capsys.readouterr().out
+
+    size = ("--views", 4, "--width", 60, "--height", 40)
+    run("ingest", photos, "--out", cars, "--licence", "CC0-1.0", "--remover", "none", *size)
+    assert "1 contact sheets: 4 vehicles, 0 to look at" in run("screen", cars)
+    found = rows(cars)
+    assert {row["verdict"] for row in found} == {"ok"}
+    found[1]["keep"], found[2]["keep"] = "no", "yes"
+    write_rows(cars, found)
+    assert "4 vehicles, 0 to look at, 2 decided, 1 left out" in run("screen", cars)
+    assert "2 decided, 1 left out of training" in run("stats", cars)
+    run("targets", cars, "--model", model, "--out", cache, "--steps", 4, "--max-voxels", 4096,
+        "--filter", "none")  # fmt: skip
+    stage = tiny_config(structure={"steps": 2}, latent=None, probe=0).model_dump(mode="json")
+    write_json(tmp_path / "stage.json", stage)
+    train = ("train", "--model", model, "--targets", cache, "--set", cars, "--device", "cpu",
+             "--config", tmp_path / "stage.json")  # fmt: skip
+    assert "2 of the 3 training targets are not screened" in run(*train, "--out", tmp_path / "out")
+    record = read_json(tmp_path / "out" / "training.json")
+    assert (record["inputs"]["train"], record["unscreened"]) == (3, 2)
+
+    # The same number of vehicles, but others: not the same training.
+    found[1]["keep"], found[0]["keep"] = "", "no"
+    write_rows(cars, found)
+    assert main(["recar", *map(str, train), "--out", str(tmp_path / "out")]) == 2
+    assert "inputs.pictures_sha256" in capsys.readouterr().err

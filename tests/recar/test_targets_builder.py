@@ -12,14 +12,9 @@ import pytest
 
 from recast.core.errors import InputError
 from recast.recar import read_set
-from recast.recar.targets import (
-    ModelSource,
-    TargetCache,
-    TargetSettings,
-    build_targets,
-    identity_seed,
-)
-from recast.recar.targets.cache_records import FilterSettings
+from recast.recar.target_cache import TargetCache
+from recast.recar.target_maker import FilterSettings, ModelSource, TargetSettings, identity_seed
+from recast.recar.targets import build_targets
 from recast.trellis import GenerationLimits, generate
 from support.target_places import SETTINGS, Places
 from support.vehicle_pictures import shape

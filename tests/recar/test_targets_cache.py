@@ -8,13 +8,8 @@ import numpy as np
 import pytest
 
 from recast.core.errors import InputError
-from recast.recar.screening import Screening
-from recast.recar.targets import (
-    Target,
-    TargetCache,
-    TargetRecord,
-    target_statistics,
-)
+from recast.recar.target_cache import Target, TargetCache, TargetRecord
+from recast.recar.targets import target_statistics
 from recast.recar.views import write_arrays
 from support.target_caches import box_target, write_cache
 
@@ -56,14 +51,11 @@ def test_ids_by_split_and_acceptance(cache: TargetCache) -> None:
 
 
 def test_decisions_reject_whatever_the_score(cache: TargetCache) -> None:
-    screening = Screening(cache.folder)
-    screening.decide("car-1", "reject")
-    screening.decide("car-0", "accept")
-    screening.decide("car-2", "accept")
+    path = cache.folder / "screening.csv"
+    path.write_text("id,keep\ncar-1,no\ncar-0,yes\ncar-2,yes\n")
     assert TargetCache.open(cache.folder).ids() == ("car-0",)
-    path = cache.folder / "screening.json"
-    path.write_text(path.read_text().replace('"accept"', '"maybe"'))
-    with pytest.raises(InputError, match=r"screening\.json: decisions\.car-0"):
+    path.write_text(path.read_text().replace("car-0,yes", "car-0,maybe"))
+    with pytest.raises(InputError, match=r"screening\.csv: line 3: keep: is 'maybe'"):
         TargetCache.open(cache.folder)
 
 
@@ -84,24 +76,12 @@ def test_voxels_in_disorder_are_refused(
         cache.target("car-0")
 
 
-def test_statistics_are_those_of_all_values_together(cache: TargetCache) -> None:
-    structure, latent = cache.statistics()
-    targets = [box_target(0), box_target(1)]
-    values = np.concatenate([t.latent for t in targets]).astype(np.float64)
-    np.testing.assert_allclose(latent.mean, values.mean(axis=0), rtol=1e-12)
-    np.testing.assert_allclose(latent.std, values.std(axis=0), rtol=1e-12)
-    values = np.concatenate([t.structure.reshape(8, -1) for t in targets], 1).astype(np.float64)
-    np.testing.assert_allclose(structure.std, values.std(axis=1), rtol=1e-12)
+def test_the_figures_of_a_cache(cache: TargetCache) -> None:
     figures = target_statistics(cache)
     assert figures.done == 4 and figures.below == 1 and figures.rejected == 0
     assert figures.failures == {"the sampled structure is empty": 1}
     assert figures.accepted == {"train": 1, "held-out": 1}
     assert figures.scores == (0.2, 0.8, 0.9)
-
-
-def test_nothing_accepted_has_no_statistics(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="none is accepted"):
-        write_cache(tmp_path / "cache", (0.1, None)).statistics()
 
 
 @pytest.mark.parametrize("size", [0, 10, 100])

@@ -15,9 +15,9 @@ from pathlib import Path
 import pytest
 import torch
 
-from recast.recar.targets import TargetCache, build_targets
-from recast.recar.targets.cache_records import TargetRecord
-from recast.recar.targets.maker import TargetMaker, TargetOutcome, VehicleTask
+from recast.recar.target_cache import TargetCache, TargetRecord
+from recast.recar.target_maker import TargetMaker, TargetOutcome, VehicleTask
+from recast.recar.targets import build_targets
 from support.moments import forked
 from support.target_caches import box_target
 from support.target_places import SETTINGS, Places

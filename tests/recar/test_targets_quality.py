@@ -14,17 +14,18 @@ from PIL import Image
 
 from recast.core.errors import InputError
 from recast.recar import regular_azimuths
-from recast.recar.targets import FilterSettings, Target, TargetCandidate
-from recast.recar.targets.maker import contact_sheet, filter_record, open_score
-from recast.recar.targets.quality import (
+from recast.recar.target_cache import Target
+from recast.recar.target_maker import FilterSettings, contact_sheet, filter_record, open_score
+from recast.recar.target_quality import (
     WIDTHS,
     AestheticScore,
     AgreementScore,
+    TargetCandidate,
     largest_part,
     load_predictor,
     mirror_symmetry,
 )
-from recast.recar.targets.views import (
+from recast.recar.target_views import (
     TargetCutout,
     Viewpoint,
     find_heading,

@@ -8,7 +8,7 @@ import pytest
 
 from recast.core.errors import InputError
 from recast.core.files import write_json
-from recast.recar.training.stage_config import (
+from recast.recar.training_config import (
     BASE,
     MINI_STAGE_1,
     MINI_STAGE_2,

@@ -15,22 +15,22 @@ from hypothesis import strategies as st
 from torch import Tensor
 
 from recast.core.errors import InputError
-from recast.recar.targets import Target, TargetCache
-from recast.recar.training.assets import TrainingAsset
-from recast.recar.training.conditions import (
+from recast.recar.target_cache import Target, TargetCache
+from recast.recar.training_conditions import (
     AssetConditions,
     ConditionTokens,
     ConditionView,
+    TrainingAsset,
     balanced_parts,
     draw_identities,
     missing_pictures,
     open_conditions,
 )
-from recast.recar.training.flow_task import ConditionGap, FlowTask, LatentFlow, StructureFlow
-from recast.recar.training.stage_config import FlowObjective
+from recast.recar.training_config import FlowObjective
+from recast.recar.training_flow import ConditionGap, FlowTask, LatentFlow, StructureFlow
 from recast.training.task import StepRandom
 from recast.trellis import ImageTo3D
-from recast.trellis.flow_matching import FlowMatching
+from recast.trellis.sampler import FlowMatching
 from support.tiny_stage import TinyStage, write_tiny_stage
 from support.trellis import AFTER_TIME, assert_same, golden_tensors
 

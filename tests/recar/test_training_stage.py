@@ -16,11 +16,9 @@ from safetensors.torch import load_file
 
 from recast.core.errors import InputError
 from recast.core.files import read_json, write_json
-from recast.recar.screening import Screening
-from recast.recar.targets import TargetCache
-from recast.recar.training.output import read_training_record
-from recast.recar.training.stage import train_stage
-from recast.recar.training.stage_parts import StageRequest
+from recast.recar.target_cache import TargetCache
+from recast.recar.training import StageRequest, train_stage
+from recast.recar.training_config import read_training_record
 from recast.trellis import ImageTo3D, verify_checkpoint
 from recast.trellis.checkpoints import first_fault
 from support.tiny_stage import TinyStage, write_tiny_stage
@@ -146,11 +144,11 @@ def test_targets_that_nobody_screened_are_told_once_and_recorded(
     assert text.count("4 of the 4 training targets are not screened") == 1
     screened = TinyStage(stage.model, tmp_path / "cache", stage.pictures)
     shutil.copytree(stage.targets, screened.targets)
-    for name in ("car-0", "car-1", "car-2"):
-        Screening(screened.targets).decide(name, "accept")
+    table = screened.targets / "screening.csv"
+    table.write_text("id,keep\ncar-0,yes\ncar-1,yes\ncar-2,yes\n")
     assert "1 of the 4 training targets are not screened" in said(screened, tmp_path / "some")
     assert read_training_record(tmp_path / "some").unscreened == 1
-    Screening(screened.targets).decide("car-3", "accept")
+    table.write_text(table.read_text() + "car-3,yes\n")
     assert "screened" not in said(screened, tmp_path / "all")
     assert read_training_record(tmp_path / "all").unscreened == 0
 

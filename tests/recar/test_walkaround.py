@@ -16,10 +16,9 @@ from PIL import Image
 from recast.cli.main import main
 from recast.core.errors import InputError
 from recast.geometry import se3
-from recast.recar.ingest import IngestSettings, ingest_photographs
-from recast.recar.ingest.folder import read_poses
-from recast.recar.ingest.ingest import IngestReport
-from recast.recar.ingest.walkaround import around
+from recast.recar.ingest import IngestReport, ingest_photographs
+from recast.recar.ingest_folder import around, read_poses
+from recast.recar.ingest_table import IngestSettings
 from recast.recar.views import camera_pose
 
 from .photographs import HEIGHT, SETTINGS, VIEWS, WIDTH, photograph, write_rows

@@ -9,10 +9,8 @@ from PIL import Image
 
 from recast.metrics import rollout_metrics
 from recast.reporting import NotMade, ReportInputs, RolloutPart, write_video
-from recast.reporting.birdseye import Birdseye
-from recast.reporting.marks import MapLayer
-from recast.reporting.moment_strip import camera_towards, moment_strip
-from recast.reporting.moments import find_moments
+from recast.reporting.birdseye import Birdseye, MapLayer
+from recast.reporting.moments import camera_towards, find_moments, moment_strip
 from recast.reporting.page import Media, PageAssets
 from recast.simulation.rollout import Rollout
 from reporting.made_up_rollouts import cut_in, straight_map

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from recast.reporting import palette, plots
-from recast.reporting.figure import Figure, ticks
-from recast.reporting.plots import series
+from recast.reporting.plots import Figure, series, ticks
 from reporting.made_up_rollouts import cut_in
 
 

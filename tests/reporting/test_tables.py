@@ -6,10 +6,16 @@ import numpy as np
 
 from recast.metrics import COLUMNS, rollout_metrics
 from recast.reporting import NotMade, RolloutPart, ScenarioPart, tables
-from recast.reporting.checks import checks
 from recast.reporting.inputs import ReportInputs
 from recast.reporting.plots import series
-from recast.reporting.summary import driving_note, headline, outcomes, rollout_events, truth_gaps
+from recast.reporting.summary import (
+    checks,
+    driving_note,
+    headline,
+    outcomes,
+    rollout_events,
+    truth_gaps,
+)
 from recast.simulation import RolloutFailure
 from reporting.made_up_rollouts import cut_in, straight_map
 

@@ -23,8 +23,8 @@ from recast.reporting import (
     write_report,
     write_video,
 )
-from recast.reporting.checks import checks
 from recast.reporting.page import PageAssets
+from recast.reporting.summary import checks
 from recast.reporting.truth import angle_label, truth_view
 from reporting.made_up_rollouts import HOSTILE, cut_in, straight_map
 from reporting.test_report import Page

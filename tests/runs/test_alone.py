@@ -12,10 +12,10 @@ from recast.core import files
 from recast.core.artefact import folder_hash
 from recast.core.errors import InputError
 from recast.logs import read_log
+from recast.reconstruction import SceneConfig
+from recast.reconstruction.train import claim_folder
 from recast.runs.config import resolve_config
 from recast.runs.run_folder import RunFolder
-from recast.scene import SceneConfig
-from recast.scene.run import claim_folder
 from recast.studies import resolve_bench
 from recast.studies.grid import begin
 
@@ -74,10 +74,7 @@ def test_what_a_killed_command_held_is_free(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("module", ["embreex.rtcore_scene", "embreex.mesh_construction"])
 def test_a_demo_without_the_ray_tracer_asks_for_it_before_anything_begins(
-    tmp_path: Path,
-    capsys: pytest.CaptureFixture[str],
-    monkeypatch: pytest.MonkeyPatch,
-    module: str,
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, module: str
 ) -> None:
     monkeypatch.setitem(sys.modules, module, None)
     assert main(["demo", "--quick", "--out", str(tmp_path / "demo")]) == 2

@@ -8,11 +8,10 @@ from pathlib import Path
 import pytest
 
 from recast.core.errors import InputError
-from recast.runs.arm_words import parse_arms
-from recast.runs.arms import Arm, disturbed_arms, truth_of
+from recast.runs.arms import Arm, disturbed_arms, parse_arms, truth_of
 from recast.runs.config import resolve_config
 from recast.scene.store import SCENE_FILE
-from recast.studies.verdict_parts import VerdictPart, parts_of
+from recast.studies.verdicts import VerdictPart, parts_of
 
 
 @pytest.fixture

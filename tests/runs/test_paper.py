@@ -8,12 +8,12 @@ import pytest
 
 from recast.core.errors import InputError
 from recast.logs import DrivingLog
-from recast.metrics.scene_level.files import PUBLISHED
 from recast.metrics.scene_level.scores import COLUMNS
-from recast.runs.arm_words import parse_arms
+from recast.metrics.scene_level.summary import PUBLISHED
+from recast.runs.arms import parse_arms
 from recast.runs.config import resolve_config
-from recast.runs.paper import SEGMENTS, choose_target
 from recast.studies import parse_scenes
+from recast.studies.grid import PAPER_SEGMENTS, choose_target
 
 
 def test_the_seven_arms() -> None:
@@ -38,18 +38,17 @@ def test_the_sizes_reach_both_streets() -> None:
 
 
 def test_nine_segments() -> None:
-    assert list(SEGMENTS) == ["002", "011", "034", "046", "137", "152", "161", "162", "177"]
-    assert len(set(SEGMENTS.values())) == 9
+    assert list(PAPER_SEGMENTS) == ["002", "011", "034", "046", "137", "152", "161", "162", "177"]
+    assert len(set(PAPER_SEGMENTS.values())) == 9
 
 
 def test_the_target_is_the_vehicle_that_most_images_show(
     tiny_log: DrivingLog, tiny_log_folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     shown = {"0": 3, "1": 5}
-    monkeypatch.setattr("recast.runs.paper.modelled_tracks", lambda log, config: {"0", "1"})
+    monkeypatch.setattr("recast.studies.grid.modelled_tracks", lambda log, config: {"0", "1"})
     monkeypatch.setattr(
-        "recast.runs.paper.logged_frames",
-        lambda log, track, cameras, rule: [None] * shown[track],
+        "recast.studies.grid.logged_frames", lambda log, track, cameras, rule: [None] * shown[track]
     )
     assert choose_target(tiny_log) == "1"
     [scene] = parse_scenes([f"{tiny_log_folder}:auto"], 0)

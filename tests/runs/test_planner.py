@@ -13,7 +13,7 @@ from recast.core.errors import InputError
 from recast.logs import DrivingLog
 from recast.planning import ConstantVelocity, Planner
 from recast.runs.config import RunConfig
-from recast.runs.planner_cameras import run_mounts
+from recast.runs.rollouts import run_mounts
 from recast.runs.sources import planner_source
 
 PLUGIN = """

@@ -19,8 +19,7 @@ from recast.geometry import se2
 from recast.logs import CameraStream, DrivingLog, Track, Trajectory
 from recast.planning import Planner, make_planner
 from recast.runs.config import RunConfig
-from recast.runs.planner_cameras import announce_planner, run_mounts
-from recast.runs.rollouts import make_rollout, read_rollout
+from recast.runs.rollouts import announce_planner, make_rollout, read_rollout, run_mounts
 from recast.scene.sky import SkyMap
 from recast.scene.street_scene import SceneActor, StreetScene
 from recast.simulation import MOTIONS, Rollout, RolloutSetup

@@ -20,19 +20,19 @@ SOURCE = Path(__file__).parents[2] / "src" / "recast"
 ACCEPTED = Path(__file__).with_name("recipes.json")
 CODE = {
     "log": ("logs", "synthetic", "core/table_files.py", "core/array_files.py"),
-    "actor": ("actors", "scene", "splats", "trellis", "runs/actor.py"),
-    "refine": ("actors", "scene", "splats"),
+    "actor": ("actors", "reconstruction", "scene", "splats", "trellis", "runs/actor.py"),
+    "refine": ("actors", "reconstruction", "scene", "splats"),
     "turntable": ("actors", "splats"),
-    "scene": ("scene", "splats"),
-    "evaluation": ("scene", "splats", "metrics/perceptual.py"),
+    "scene": ("reconstruction", "scene", "splats"),
+    "evaluation": ("reconstruction", "scene", "splats", "metrics/perceptual.py"),
     "truth": ("metrics", "synthetic"),
     "rollout": (
         *("simulation", "planning", "dynamics", "scene", "splats", "synthetic"),
-        *("runs/rollouts.py", "runs/renderers.py", "runs/planner_cameras.py"),
+        "runs/rollouts.py",
     ),
     "scene-level": ("metrics/scene_level", "studies/scene_level", "pretrained"),
-    "metrics": ("metrics", "runs/scores.py", "runs/scored_rollouts.py"),
-    "report": ("reporting", "runs/report.py", "runs/report_parts.py"),
+    "metrics": ("metrics", "runs/scores.py"),
+    "report": ("reporting", "runs/report.py"),
 }
 """Packages and modules whose code decides what a step writes. `core`, `geometry` and `cameras`,
 which all steps share, are left out: what they compute has tests with fixed numbers."""

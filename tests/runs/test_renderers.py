@@ -9,10 +9,9 @@ import numpy as np
 import pytest
 
 from recast.cameras import CameraMount
-from recast.runs.arm_words import parse_arms
-from recast.runs.arms import Arm
+from recast.runs.arms import Arm, parse_arms
 from recast.runs.artefacts import Artefacts
-from recast.runs.renderers import Renderers
+from recast.runs.rollouts import Renderers
 from recast.simulation import SimState
 from recast.simulation.camera_noise import jittered
 from recast.simulation.oracle_renderer import OracleRenderer
@@ -75,10 +74,7 @@ def test_noise_changes_what_it_says_and_nothing_else(images: dict[str, np.ndarra
 
 
 def test_streets_without_a_vehicle(
-    images: dict[str, np.ndarray],
-    world: World,
-    mounts: dict[str, CameraMount],
-    state: SimState,
+    images: dict[str, np.ndarray], world: World, mounts: dict[str, CameraMount], state: SimState
 ) -> None:
     scene = street(world, ball((0.0, 0.0, 1.0), at_camera(state, mounts["front"], 30.0), 2.0))
     bare = SceneRenderer(scene, mounts, absent=[world.target]).render(state, ["front"])["front"]

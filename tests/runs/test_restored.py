@@ -16,7 +16,7 @@ from recast.cli.main import main
 from recast.core.errors import InputError, UnreachableError
 from recast.planning import ConstantVelocity
 from recast.runs.config import RunConfig, resolve_config
-from recast.runs.report_parts import facts
+from recast.runs.report import facts
 from recast.runs.rollouts import is_failure, make_rollout, read_rollout
 from recast.runs.sources import Sources
 from recast.simulation import MOTIONS, RolloutFailure, RolloutSetup

@@ -18,10 +18,9 @@ from recast.planning import Plan, PlannerInput, PlanningContext
 from recast.planning.simple import ProbePlanner
 from recast.runs.artefacts import rollout_name
 from recast.runs.config import RunConfig
-from recast.runs.layout import METRICS_FILE
 from recast.runs.rollouts import make_rollout, read_coverage, read_rollout
-from recast.runs.scores import read_metrics, write_metrics
-from recast.runs.trust import RunTrust
+from recast.runs.run_folder import METRICS_FILE
+from recast.runs.scores import RunTrust, read_metrics, write_metrics
 from recast.simulation import MOTIONS, Rollout, RolloutSetup
 from recast.simulation.scene_renderer import SceneRenderer
 

@@ -10,10 +10,9 @@ import pytest
 from recast.core import Artefact, files
 from recast.core.artefact import folder_hash, value_hash
 from recast.core.errors import InputError
+from recast.reconstruction import resolve_config as scene_config
 from recast.runs.config import RunConfig, resolve_config
-from recast.runs.layout import use_name, use_parts
-from recast.runs.run_folder import RunFolder
-from recast.scene import resolve_config as scene_config
+from recast.runs.run_folder import RunFolder, use_name, use_parts
 
 
 def start(path: Path, seed: int = 0, log_hash: str = "abc", store: str = "store") -> RunFolder:

@@ -10,8 +10,7 @@ import pytest
 from rich.console import Console
 
 from recast.logs import DrivingLog
-from recast.runs.scene import evaluation_table, shift_table, shifted_truth
-from recast.scene import (
+from recast.reconstruction import (
     FrameScore,
     RegionScore,
     SceneEvaluation,
@@ -20,8 +19,9 @@ from recast.scene import (
     ViewShift,
     psnr,
 )
-from recast.scene.evaluate_record import DepthScore
-from recast.scene.evaluate_shifts import ShiftedScore
+from recast.reconstruction.evaluation import ShiftedScore
+from recast.reconstruction.scores import DepthScore
+from recast.runs.scene import evaluation_table, shift_table, shifted_truth
 from recast.synthetic import is_synthetic
 from recast.synthetic.oracle import Oracle, OraclePool
 from recast.synthetic.rig import exposure, make_rig

@@ -13,15 +13,14 @@ from metrics.box_world import box_log
 from metrics.rollouts import make_rollout, street
 from recast.core import Store, files
 from recast.metrics import COLUMNS, rollout_metrics
-from recast.metrics.pairs import over_common_steps
+from recast.metrics.table import over_common_steps
 from recast.runs.artefacts import rollout_name
 from recast.runs.config import RunConfig
-from recast.runs.layout import METRICS_FILE
 from recast.runs.rollouts import write_failure
-from recast.runs.scores import read_metrics, write_metrics
-from recast.runs.trust import RunTrust
+from recast.runs.run_folder import METRICS_FILE
+from recast.runs.scores import RunTrust, read_metrics, write_metrics
 from recast.simulation import Rollout, RolloutFailure, save_rollout
-from recast.studies.grid_rows import GridRow
+from recast.studies.grid import GridRow
 
 
 def rollout(arm: str, setting: str, steps: int, hit: bool) -> Rollout:

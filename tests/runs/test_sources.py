@@ -16,9 +16,9 @@ from rich.console import Console
 
 from recast.cli.main import main
 from recast.core import Artefact, Store, files
+from recast.reconstruction import SceneConfig
 from recast.runs import making, sources
 from recast.runs.sources import SourceLog
-from recast.scene import SceneConfig
 from support.moments import forked
 
 PLANNER = """
@@ -160,9 +160,7 @@ def test_a_run_makes_again_what_was_edited_and_what_follows(
 
 
 def test_a_run_and_its_store_go_on_elsewhere(
-    code: Callable[[str, str], None],
-    tiny_log_folder: Path,
-    tmp_path: Path,
+    code: Callable[[str, str], None], tiny_log_folder: Path, tmp_path: Path
 ) -> None:
     """Copied together, with or without their links; the report is written there, too."""
     first, log = tmp_path / "first" / "run", tiny_log_folder

@@ -10,9 +10,9 @@ import pytest
 from actors import made_up
 from recast.actors import BoxLidarSegmenter, TemplateGenerator, load_actor
 from recast.core.errors import InputError
+from recast.reconstruction import SceneConfig
 from recast.runs.actor import ActorMakers, make_actor
 from recast.runs.config import RunConfig, resolve_config
-from recast.scene import SceneConfig
 
 
 def resolve(views: int | None) -> RunConfig:

@@ -8,8 +8,7 @@ import torch
 
 from recast.logs import Trajectory
 from recast.scene.appearance import Appearance, coloured, fourier_basis, share_of
-
-from .made_up import part
+from support.gaussian_clouds import part
 
 
 @pytest.mark.parametrize("share", [0.0, 0.1, 0.73, 1.0])

@@ -5,8 +5,7 @@ import torch
 from recast.scene.appearance import mirrored, with_other_side
 from recast.splats import Gaussians, rasterize
 from recast.splats.gaussians import quat_to_matrix
-
-from .made_up import K, part
+from support.gaussian_clouds import K, part
 
 
 def car() -> Gaussians:

@@ -5,9 +5,10 @@ import pytest
 import torch
 
 from recast.logs import DrivingLog
-from recast.scene import SceneRasterizer, TrainResult, render_scene
+from recast.reconstruction import TrainResult
+from recast.reconstruction.views import TrainingView, read_view
+from recast.scene import SceneRasterizer, render_scene
 from recast.scene.sky import OPAQUE
-from recast.scene.views import TrainingView, read_view
 from recast.splats import rasterize
 
 

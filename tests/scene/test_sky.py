@@ -11,16 +11,16 @@ from hypothesis import strategies as st
 
 from recast.cameras import PinholeCamera
 from recast.geometry import se3
+from recast.reconstruction.sky_masks import sky_mask
 from recast.scene.sky import (
     OPAQUE,
     SkyMap,
     composite,
     direction_coordinates,
+    fused_composite,
     pixel_coordinates,
     sky_from_pixels,
 )
-from recast.scene.sky_composite import fused_composite
-from recast.scene.sky_masks import sky_mask
 
 
 def direction(azimuth: float, elevation: float) -> torch.Tensor:

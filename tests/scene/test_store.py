@@ -12,16 +12,10 @@ import torch
 from safetensors.torch import save_file
 
 from recast.core.errors import InputError
-from recast.scene import SceneActor, StreetScene, TrainResult, load_scene, save_scene
-from recast.scene.tensor_file import read_tensors, write_tensors
-from recast.scene.trainable import rows
-from recast.splats import Gaussians
-
-
-def same(first: Gaussians, second: Gaussians) -> bool:
-    return all(
-        torch.equal(a, b) for a, b in zip(rows(first).values(), rows(second).values(), strict=True)
-    )
+from recast.reconstruction import TrainResult
+from recast.scene import SceneActor, StreetScene, load_scene, save_scene
+from recast.scene.store import read_tensors, write_tensors
+from support.tiny_street import same
 
 
 def with_shadow(scene: StreetScene) -> StreetScene:

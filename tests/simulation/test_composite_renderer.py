@@ -11,8 +11,9 @@ import torch
 from recast.cameras import CameraMount
 from recast.geometry import se3
 from recast.logs import Trajectory
+from recast.scene.actor import SceneActor
 from recast.scene.sky import SkyMap
-from recast.scene.street_scene import SceneActor, StreetScene
+from recast.scene.street_scene import StreetScene
 from recast.simulation import SimState
 from recast.simulation.composite_renderer import GeneratedVehicleRenderer, TrueVehicleRenderer
 from recast.simulation.oracle_renderer import OracleRenderer

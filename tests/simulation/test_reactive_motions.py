@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from recast.core.errors import InputError
 from recast.geometry import boxes, se2
 from recast.logs.types import DrivingLog, Track, Trajectory
-from recast.metrics.collision import constant_velocity_future
+from recast.metrics.driving import constant_velocity_future
 from recast.planning import ActorState, ConstantVelocity, IdmLaneFollower, LogReplay, ReferenceRoute
 from recast.simulation import (
     MOTIONS,
@@ -26,7 +26,7 @@ from recast.simulation import (
     run_rollout,
 )
 from recast.simulation import LoggedMotion as Replay
-from recast.simulation.actor_motion import Scripted
+from recast.simulation.actor_motion import BaseScript
 from recast.simulation.actors import ControlledActors
 from recast.simulation.rollout_start import start_rollout
 from support.synthetic_drives import drive
@@ -315,7 +315,7 @@ def test_parameters_out_of_range(arguments: dict[str, float], message: str) -> N
 
 
 @dataclass(frozen=True)
-class Moving(Scripted):
+class Moving(BaseScript):
     """Moves at 4 m/s by another angle than it faces."""
 
     angle: float

@@ -13,8 +13,9 @@ from recast.geometry import se3
 from recast.logs.types import CameraStream, DrivingLog
 from recast.planning import ConstantVelocity, Plan, PlannerInput
 from recast.planning.gtrs import nuplan_rig
+from recast.scene.actor import SceneActor
 from recast.scene.sky import SkyMap
-from recast.scene.street_scene import SceneActor, StreetScene
+from recast.scene.street_scene import StreetScene
 from recast.simulation import (
     MOTIONS,
     RolloutSetup,

@@ -109,7 +109,7 @@ def test_restorers_by_name(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> N
     monkeypatch.syspath_prepend(str(tmp_path))
     assert make_restorer("my_restorer:Same").name == "same"
     assert make_restorer("harmonizer:localhost:8000").name == "harmonizer:localhost:8000"
-    assert make_restorer(given := Brighter()) is given
+    assert make_restorer(given := Brighter()).part is given  # type: ignore[attr-defined]
     del sys.modules["my_restorer"]
     for word, problem in (
         ("harmonizer:localhost", "is not an address; give HOST:PORT"),

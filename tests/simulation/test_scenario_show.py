@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from recast.cli.rows.scenario_list import list_scenarios
-from recast.cli.rows.scenarios import place_scenarios, show_scenarios
+from recast.cli.rows.scenarios import list_scenarios, place_scenarios, show_scenarios
 from recast.core.errors import InputError
 from recast.logs import write_log
 from recast.logs.hdmap import HdMap

@@ -15,7 +15,7 @@ from recast.core.errors import InputError
 from recast.geometry import boxes
 from recast.logs.types import DrivingLog
 from recast.metrics import rollout_metrics
-from recast.metrics.pairs import script_difference
+from recast.metrics.table import script_difference
 from recast.planning import ConstantVelocity, IdmLaneFollower, LogReplay
 from recast.simulation import (
     MOTIONS,
@@ -249,7 +249,7 @@ def test_prepare_shows_them_with_the_ego_as_recorded(setup: RolloutSetup) -> Non
     [
         ({"7": MOTIONS["cut-in-a"]}, "actors: track 7 is given twice"),
         ({"none": MOTIONS["idm-a"]}, "track none: is not in the log; choose one of 7, 9, lead"),
-        ({"lead": "idm"}, "actors: the motion of track lead is a str; give a motion"),
+        ({"lead": "idm"}, "motion of track lead: str: is not a motion"),
         ({"lead": Idm("a", gap=-3.0)}, "actor lead and ego overlap by .* at the start"),
         (
             {"lead": Idm("a", gap=20.0), "tail": Idm("b", gap=22.0)},

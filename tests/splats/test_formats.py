@@ -15,9 +15,17 @@ import torch
 from recast.core.errors import InputError
 from recast.geometry import se3
 from recast.splats import MIP, Gaussians, LowPass, concatenate
-from recast.splats.formats import format_of, formats, read_gaussians, write_gaussians
+from recast.splats.formats import (
+    EXTENSION,
+    format_of,
+    formats,
+    has_gaussians,
+    read_gaussians,
+    read_gltf,
+    write_gaussians,
+    write_gltf,
+)
 from recast.splats.gaussians import quat_to_matrix
-from recast.splats.gltf import EXTENSION, has_gaussians, read_gltf, write_gltf
 from recast.splats.sh import evaluate
 from recast_bridges.splats.usd import read_usd, write_usd
 from support.splat_scenes import random_gaussians

@@ -175,16 +175,16 @@ def test_a_slow_planner_is_rows_with_a_reason(logs: list[str], tmp_path: Path) -
 def test_a_scene_that_fails_is_rows_and_the_others_go_on(
     logs: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from recast.studies import worker
+    from recast.studies import schedule
 
-    opened = worker.SceneRun
+    opened = schedule.SceneRun
 
     def only_the_first(store: Store, scene: BenchScene, *more: Any) -> object:
         if scene.id.endswith("-1"):
             raise RuntimeError("the disk forgot it")
         return opened(store, scene, *more)
 
-    monkeypatch.setattr(worker, "SceneRun", only_the_first)
+    monkeypatch.setattr(schedule, "SceneRun", only_the_first)
     out = tmp_path / "grid"
     assert main(command(logs, out)) == 0
     found = rows(out)

@@ -11,11 +11,9 @@ from rich.table import Table
 
 from recast.metrics import COLUMNS
 from recast.runs.display import results_tables
-from recast.studies.grid_rows import GridRow, arm_summaries, paired_summaries
-from recast.studies.results import differences_table, grid_table
-from recast.studies.verdict_parts import VerdictPart, part_losses
-from recast.studies.verdict_tables import parts_table, truth_table
-from recast.studies.verdicts import agreements, noise_floors
+from recast.studies.closed_loop import differences_table, grid_table, parts_table, truth_table
+from recast.studies.grid import GridRow, arm_summaries, paired_summaries
+from recast.studies.verdicts import VerdictPart, agreements, noise_floors, part_losses
 
 STEPS = tuple(range(0, 160, 5))
 

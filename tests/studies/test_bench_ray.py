@@ -12,23 +12,8 @@ from recast.cli.main import main
 
 FILES = ("rollouts.parquet", "results.json", "bench.json")
 OPTIONS = (
-    "--motions",
-    "advancing-a",
-    "--steps",
-    "10",
-    "--samples",
-    "100",
-    "--films",
-    "--iterations",
-    "4",
-    "--scale",
-    "0.5",
-    "--arm",
-    "native",
-    "--arm",
-    "template",
-    "--refine",
-    "False",
+    *("--motions", "advancing-a", "--steps", "10", "--iterations", "4", "--scale", "0.5"),
+    *("--arm", "native", "--arm", "template", "--refine", "False"),
 )
 
 
@@ -54,7 +39,8 @@ def test_three_nodes_give_the_same_bytes(
     cluster: str, tiny_log_folder: Path, tmp_path: Path
 ) -> None:
     scenes = [f"{tiny_log_folder}:0", f"{tiny_log_folder}:1"]
-    command = ["bench", "closed-loop", "--scenes", *scenes, *OPTIONS]
+    command = ["bench", "closed-loop", "--scenes", *scenes, *OPTIONS, "--films"]
+    command += ["--samples", "100"]
     assert main([*command, "--out", str(tmp_path / "here" / "grid")]) == 0
     there = [*command, "--out", str(tmp_path / "there" / "grid"), "--ray", cluster]
     assert main([*there, "--workers", "3"]) == 0
@@ -73,34 +59,8 @@ def test_three_nodes_measure_the_same_images(
     cluster: str, tiny_log_folder: Path, tmp_path: Path
 ) -> None:
     scenes = [f"{tiny_log_folder}:0", f"{tiny_log_folder}:1"]
-    command = [
-        "bench",
-        "scene-level",
-        "--scenes",
-        *scenes,
-        "--motions",
-        "advancing-a",
-        "--steps",
-        "10",
-        "--samples",
-        "200",
-        "--frechet-samples",
-        "20",
-        "--iterations",
-        "4",
-        "--scale",
-        "0.5",
-        "--arm",
-        "native",
-        "--arm",
-        "template",
-        "--refine",
-        "False",
-        "--least-px",
-        "4",
-        "--every",
-        "2",
-    ]
+    command = ["bench", "scene-level", "--scenes", *scenes, *OPTIONS]
+    command += ["--samples", "200", "--frechet-samples", "20", "--least-px", "4", "--every", "2"]
     assert main([*command, "--out", str(tmp_path / "here" / "grid")]) == 0
     there = [*command, "--out", str(tmp_path / "there" / "grid"), "--ray", cluster]
     assert main([*there, "--workers", "3"]) == 0

@@ -20,11 +20,9 @@ from recast.logs import map_of, read_log, write_log
 from recast.metrics.trust import packaged_calibration, read_calibration
 from recast.runs.arms import Arm
 from recast.runs.config import RunConfig
-from recast.runs.layout import METRICS_FILE, rollout_name
 from recast.runs.rollouts import given_views
-from recast.runs.run_folder import RunFolder
-from recast.runs.scores import read_metrics, write_metrics
-from recast.runs.trust import RunTrust
+from recast.runs.run_folder import METRICS_FILE, RunFolder, rollout_name
+from recast.runs.scores import RunTrust, read_metrics, write_metrics
 from recast.simulation import Rollout, save_rollout
 from recast.studies import BenchScene
 from recast.studies.scene_run import scene_rows

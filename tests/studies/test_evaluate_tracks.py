@@ -19,10 +19,7 @@ def scene(tiny_log_folder: Path, tmp_path_factory: pytest.TempPathFactory) -> Pa
 
 
 def test_tracks_of_a_log(
-    tiny_log_folder: Path,
-    scene: Path,
-    tmp_path: Path,
-    capsys: pytest.CaptureFixture[str],
+    tiny_log_folder: Path, scene: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     out = tmp_path / "out"
     command = ["eval", "actor", "template", str(tiny_log_folder), "--scene", str(scene)]

@@ -13,17 +13,14 @@ from PIL import Image
 from recar.sets import tree
 from recast.cli.main import main
 from recast.core.errors import InputError
-from recast.metrics import cases
-from recast.metrics.actor_scores import drawn
-from recast.metrics.cases import ActorCase, Targets, read_cases, target_case
+from recast.metrics import actor_scores
+from recast.metrics.actor_scores import ActorCase, Targets, drawn, read_cases, target_case
 from recast.recar.perturb import PerturbationConfig
 from recast.splats import CLASSIC
 from recast.splats.ply import write_ply
-from recast.studies.generation.plan import StudySettings, write_inputs
-from recast.studies.generation.report import PAPER_COLUMNS, PAPER_ROWS
+from recast.studies.generation.report import PAPER_COLUMNS, PAPER_ROWS, STUDY_COLUMNS
 from recast.studies.generation.rows import StudyModel, read_rows, view_paths
-from recast.studies.generation.study import run_study
-from recast.studies.generation.summary import STUDY_COLUMNS
+from recast.studies.generation.study import StudySettings, run_study, write_inputs
 from support.studies import vehicle, write_vehicle_set
 
 NEAR, PERFECT = "support.studies:near", "support.studies:perfect"
@@ -63,10 +60,7 @@ def write_views(folder: Path, cases: list[ActorCase], dark: float = 1.0) -> Path
 def test_files_of_each_vehicle(vehicles: Path, tmp_path: Path) -> None:
     """As good as a model that knows the vehicles; only what changed is made anew."""
     files = write_files(tmp_path / "files")
-    models = {
-        "knows": StudyModel(PERFECT),
-        "files": StudyModel(f"files:{files}", axes="x,z"),
-    }
+    models = {"knows": StudyModel(PERFECT), "files": StudyModel(f"files:{files}", axes="x,z")}
     out = tmp_path / "out"
     (block,) = run_study(settings(vehicles, models), out)
     knows, made = (row.scores for row in block.rows)
@@ -95,7 +89,7 @@ def test_files_of_each_vehicle(vehicles: Path, tmp_path: Path) -> None:
 def test_views_drawn_elsewhere(
     vehicles: Path, tmp_path: Path, targets: Targets, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(cases, "ORBIT_PIXELS", 96)  # SSIM of 512 takes a second
+    monkeypatch.setattr(actor_scores, "ORBIT_PIXELS", 96)  # SSIM of 512 takes a second
     targeted = [target_case(case, targets) for case in read_cases(vehicles, limit=1)]
     models = {
         "dark": StudyModel(f"views:{write_views(tmp_path / 'dark', targeted, 0.6)}"),

@@ -15,13 +15,12 @@ import pytest
 from recar.sets import tree
 from recast.cli.main import main
 from recast.core.errors import InputError
-from recast.metrics.cases import read_cases
+from recast.metrics.actor_scores import read_cases
 from recast.recar.perturb import PerturbationConfig
-from recast.studies.generation import maker as generation_maker
-from recast.studies.generation.maker import CellMaker, perturbed_input
-from recast.studies.generation.plan import StudySettings
+from recast.studies.generation import cells as generation_cells
+from recast.studies.generation.cells import CellMaker, perturbed_input
 from recast.studies.generation.rows import StudyModel, parse_models
-from recast.studies.generation.study import run_study
+from recast.studies.generation.study import StudySettings, run_study
 from support.studies import write_vehicle_set
 from support.trellis_folder import write_golden_model
 
@@ -99,7 +98,7 @@ def test_what_was_made_stays(
         made.append(job.folder.relative_to(tmp_path).as_posix())
         return original(self, job)
 
-    monkeypatch.setattr(generation_maker.CellMaker, "__call__", counted)
+    monkeypatch.setattr(generation_cells.CellMaker, "__call__", counted)
     out, limit = tmp_path / "out", 4
     two = settings(vehicles, {"far": FAR}, limit=2, perturbed=PerturbationConfig())
     with pytest.raises(KilledError):

@@ -11,15 +11,15 @@ import pytest
 
 from recast.core.errors import InputError
 from recast.metrics.frechet import frechet_distance
-from recast.studies.generation.cell import StudyCell, cell_is, read_cell, read_strip, write_cell
+from recast.studies.generation.cells import StudyCell, cell_is, read_cell, read_strip, write_cell
 from recast.studies.generation.report import (
-    StudyFacts,
+    StudyBlock,
     differences_table,
     study_json,
     study_markdown,
     study_table,
+    summarize,
 )
-from recast.studies.generation.summary import StudyBlock, summarize
 
 IDS = tuple(f"car-{index}" for index in range(12))
 RNG = np.random.default_rng(0)
@@ -115,7 +115,14 @@ def test_vehicles_that_one_model_failed_on_count_for_none() -> None:
 def test_reports_say_what_was_found() -> None:
     failed = {"base": cells(0.0, 0.5), "full": cells(2.0, 0.25, ("car-4",))}
     blocks = [summarize(name, failed, truth(), samples=100) for name in ("clean", "perturbed")]
-    facts = StudyFacts("cars", {}, 3, "canonical", {"rho_clean": 0.2}, {}, 100)
+    facts = {
+        "set": "cars",
+        "placement": "canonical",
+        "perturbations": {"rho_clean": 0.2},
+        "samples": 100,
+        "targets": "set",
+        "beside": {},
+    }
     text = study_markdown(facts, blocks)
     assert "## Perturbed inputs: 11 vehicles, 22 views" in text
     assert "| full | 11 | **28.14** | **0.5000** |" in text

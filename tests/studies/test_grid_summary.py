@@ -12,10 +12,17 @@ import pytest
 from metrics.rollouts import make_rollout
 from recast.dynamics.state import moved_left
 from recast.metrics import COLUMNS
-from recast.metrics.pairs import script_difference
-from recast.studies.grid_rows import GridRow, arm_summaries, paired_summaries
-from recast.studies.verdict_parts import VerdictPart, part_losses
-from recast.studies.verdicts import SCHEMA, agreements, noise_floors, verdicts, write_rows
+from recast.metrics.table import script_difference
+from recast.studies.grid import GridRow, arm_summaries, paired_summaries
+from recast.studies.verdicts import (
+    SCHEMA,
+    VerdictPart,
+    agreements,
+    noise_floors,
+    part_losses,
+    verdicts,
+    write_rows,
+)
 
 
 def row(scene: str, arm: str, setting: str, nc: float, ttc: float) -> GridRow:

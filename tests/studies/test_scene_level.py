@@ -23,6 +23,12 @@ from support.crops import two_coloured_box
 FILES = ("scene_level.parquet", "results.json", "table.md", "bench.json", "figure_advancing.png")
 
 
+OPTIONS = (
+    "--motions advancing-a --steps 10 --samples 200 --frechet-samples 20 --iterations 4 "
+    "--scale 0.5 --refine False --least-px 4 --every 2"
+)
+
+
 @pytest.fixture(scope="module")
 def vehicle(tmp_path_factory: pytest.TempPathFactory) -> str:
     path = tmp_path_factory.mktemp("vehicle") / "box.ply"
@@ -31,37 +37,9 @@ def vehicle(tmp_path_factory: pytest.TempPathFactory) -> str:
 
 
 def command(log: Path, out: Path, vehicle: str, *more: str) -> list[str]:
-    return [
-        "bench",
-        "scene-level",
-        "--scenes",
-        f"{log}:0",
-        "--out",
-        str(out),
-        "--motions",
-        "advancing-a",
-        "--steps",
-        "10",
-        "--samples",
-        "200",
-        "--frechet-samples",
-        "20",
-        "--iterations",
-        "4",
-        "--scale",
-        "0.5",
-        "--arm",
-        "native",
-        "--arm",
-        vehicle,
-        "--refine",
-        "False",
-        "--least-px",
-        "4",
-        "--every",
-        "2",
-        *more,
-    ]
+    arms = ["--arm", "native", "--arm", vehicle]
+    words = ["bench", "scene-level", "--scenes", f"{log}:0", "--out", str(out), *arms]
+    return [*words, *OPTIONS.split(), *more]
 
 
 @pytest.fixture(scope="module")

@@ -9,9 +9,9 @@ import cv2
 import numpy as np
 import torch
 
-from recast.actors.drawing import look_at
 from recast.cameras import PinholeCamera
 from recast.recar.views import pinhole
+from recast.scene.actor import look_at
 from recast.splats import Gaussians, rasterize
 
 SIZE = (4.4, 1.8, 1.4)

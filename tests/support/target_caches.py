@@ -10,7 +10,7 @@ import numpy as np
 from PIL import Image
 
 from recast.core import files
-from recast.recar.targets import (
+from recast.recar.target_cache import (
     CachedModelRecord,
     CacheRecord,
     FilterRecord,

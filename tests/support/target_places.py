@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from recast.recar import VehicleSet
-from recast.recar.targets import ModelSource, TargetSettings
+from recast.recar.target_maker import ModelSource, TargetSettings
 
 SETTINGS = TargetSettings(max_voxels=4096)
 Places = tuple[VehicleSet, ModelSource]

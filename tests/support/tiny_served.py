@@ -12,8 +12,9 @@ import torch
 from recast.cameras import CameraMount, PinholeCamera
 from recast.geometry import se3
 from recast.logs.types import CameraStream, DrivingLog, Track, Trajectory
+from recast.scene.actor import SceneActor
 from recast.scene.sky import SkyMap
-from recast.scene.street_scene import SceneActor, StreetScene
+from recast.scene.street_scene import StreetScene
 from recast.splats import Gaussians
 from recast_bridges.alpasim.server import SensorsimServer, SensorsimService
 from recast_bridges.rendering import ScenePainter, ServedScene, Unnamed

@@ -12,11 +12,16 @@ from rich.console import Console
 
 from recast.core.files import write_json
 from recast.recar import begin_set, finish_set, regular_azimuths, write_identity
-from recast.recar.set_records import IdentityRecord, SetRecord
-from recast.recar.targets import CachedModelRecord, CacheRecord, Target, TargetCache, TargetRecord
-from recast.recar.training.stage import train_stage
-from recast.recar.training.stage_config import StageConfig
-from recast.recar.training.stage_parts import StageRequest
+from recast.recar.target_cache import (
+    CachedModelRecord,
+    CacheRecord,
+    Target,
+    TargetCache,
+    TargetRecord,
+)
+from recast.recar.training import StageRequest, train_stage
+from recast.recar.training_config import StageConfig
+from recast.recar.vehicle_set import IdentityRecord, SetRecord
 from recast.trellis import ImageTo3D, SamplerSettings
 from support.trellis import golden_tensors
 from support.trellis_folder import write_golden_model

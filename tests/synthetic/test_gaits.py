@@ -3,13 +3,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from recast.synthetic import limbs
-from recast.synthetic.gaits import GEAR, STANCE, WHEEL_RADIUS, Ride, Walk
-from recast.synthetic.limbs import between, middle_joint
+from recast.synthetic import gaits
+from recast.synthetic.gaits import GEAR, STANCE, WHEEL_RADIUS, Ride, Walk, between, middle_joint
 from recast.synthetic.people import sample_cyclist, sample_pedestrian
 from recast.synthetic.world import VehicleModel
 
-LOOK = limbs.PersonLook(1.75, 1.0, (0.5, 0.4, 0.3), (0.1,) * 3, (0.4, 0, 0), (0, 0, 0.3), (0, 0, 0))
+LOOK = gaits.PersonLook(1.75, 1.0, (0.5, 0.4, 0.3), (0.1,) * 3, (0.4, 0, 0), (0, 0, 0.3), (0, 0, 0))
 
 
 @pytest.fixture(scope="module", params=["pedestrian", "cyclist"])
@@ -45,7 +44,7 @@ def test_shape_and_triangles_are_the_same_at_any_time(models: list[VehicleModel]
 
 @pytest.mark.parametrize("height", [1.1, 1.75, 1.95])
 def test_feet_on_the_ground_do_not_slip(height: float) -> None:
-    walk = Walk(limbs.PersonLook(height, 1.0, *[(0.5, 0.5, 0.5)] * 5))
+    walk = Walk(gaits.PersonLook(height, 1.0, *[(0.5, 0.5, 0.5)] * 5))
     ways = np.linspace(0.0, 2 * walk.cycle, 161)
     for foot, shift in ((2, 0.0), (5, 0.5)):
         phase = (ways / walk.cycle + shift) % 1.0

@@ -10,7 +10,7 @@ import shapely
 from recast.core.errors import InputError
 from recast.geometry import boxes, se2
 from recast.logs import DrivingLog
-from recast.synthetic import populate, routes
+from recast.synthetic import populate, traffic
 from recast.synthetic.populate import (
     START_US,
     WORLD_VERSION,
@@ -18,8 +18,7 @@ from recast.synthetic.populate import (
     world_metadata,
     world_of,
 )
-from recast.synthetic.routes import LATERAL_LIMIT
-from recast.synthetic.traffic import wheelbase
+from recast.synthetic.traffic import LATERAL_LIMIT, wheelbase
 from recast.synthetic.world import World, hiding, touching
 from synthetic.conftest import small_world
 from synthetic.small_street import small_street
@@ -40,8 +39,8 @@ def drive(request: pytest.FixtureRequest) -> World:
 
 def outlines(world: World) -> dict[str, tuple[np.ndarray, np.ndarray]]:
     rig = se2.from_se3(world.ego.poses)
-    middle = se2.compose(rig, np.array([routes.CENTRE_OFFSET, 0.0, 0.0]))
-    found = {"ego": (middle, np.array([routes.EGO_LENGTH, routes.EGO_WIDTH]))}
+    middle = se2.compose(rig, np.array([traffic.CENTRE_OFFSET, 0.0, 0.0]))
+    found = {"ego": (middle, np.array([traffic.EGO_LENGTH, traffic.EGO_WIDTH]))}
     for key, vehicle in world.vehicles.items():
         found[key] = se2.from_se3(vehicle.trajectory.poses), vehicle.model.size
     return found
@@ -83,7 +82,7 @@ def test_every_vehicle_stands_on_the_ground_and_follows_a_lane(drive: World) -> 
 def test_the_ego_drives_smoothly_inside_the_drivable_area(drive: World) -> None:
     area = shapely.unary_union([shapely.Polygon(p) for p in drive.street.map.drivable_area])
     poses = se2.from_se3(drive.ego.poses)
-    corners = boxes.bev_corners(outlines(drive)["ego"][0], routes.EGO_LENGTH, routes.EGO_WIDTH)
+    corners = boxes.bev_corners(outlines(drive)["ego"][0], traffic.EGO_LENGTH, traffic.EGO_WIDTH)
     assert shapely.contains(area, shapely.points(corners.reshape(-1, 2))).all()
     speed = np.linalg.norm(np.diff(poses[:, :2], axis=0), axis=1) / 0.1
     yaw_rate = np.diff(np.unwrap(poses[:, 2])) / 0.1

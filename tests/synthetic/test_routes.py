@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from recast.logs import HdMap, Lane
-from recast.synthetic.routes import (
+from recast.synthetic.traffic import (
     LATERAL_LIMIT,
     RoutePath,
     SpeedProfile,

@@ -7,7 +7,7 @@ import pytest
 import torch
 from torch import nn
 
-from recast.training.averages import AdaptiveGradClipper
+from recast.training.state import AdaptiveGradClipper
 
 
 def with_norm(norm: float) -> list[nn.Parameter]:

@@ -7,7 +7,7 @@ import torch
 from torch import Tensor, nn
 
 from recast.core.errors import InputError
-from recast.training.averages import ExponentialMovingAverage
+from recast.training.state import ExponentialMovingAverage
 
 
 class Net(nn.Module):

@@ -3,12 +3,9 @@ from __future__ import annotations
 import pytest
 import torch
 
-from recast.trellis.models.base import TrellisModel
-from recast.trellis.models.flow_transformer import (
-    SparseStructureFlowConfig,
-    SparseStructureFlowModel,
-)
-from recast.trellis.models.ss_vae import SparseStructureDecoder, SparseStructureEncoder
+from recast.trellis.flow_transformer import SparseStructureFlowConfig, SparseStructureFlowModel
+from recast.trellis.layers import TrellisModel
+from recast.trellis.ss_vae import SparseStructureDecoder, SparseStructureEncoder
 from support.trellis import golden_config, golden_tensors, official_keys
 
 MODELS: dict[str, type[TrellisModel]] = {

@@ -16,7 +16,7 @@ from safetensors.torch import save, save_file
 
 from recast.core.errors import InputError
 from recast.core.torch_file import DTYPES, read_header
-from recast.trellis.checkpoints.model_files import file_bytes
+from recast.trellis.model_files import file_bytes
 from support.trellis import FOLDER
 
 TENSORS = {"a": torch.arange(6.0).reshape(2, 3), "b": torch.ones(4, dtype=torch.float16)}

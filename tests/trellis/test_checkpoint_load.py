@@ -14,12 +14,8 @@ from safetensors.torch import load_file, save_file
 from torch import Tensor
 
 from recast.core.errors import InputError
-from recast.trellis.checkpoints import (
-    GENERATION_ROLES,
-    OPTIONAL_ROLES,
-    Checkpoint,
-    load_checkpoint,
-)
+from recast.trellis.checkpoints import Checkpoint, load_checkpoint
+from recast.trellis.model_files import GENERATION_ROLES, OPTIONAL_ROLES
 from support.trellis import golden_tensors
 from support.trellis_folder import GOLDEN_MODELS, write_golden_model
 

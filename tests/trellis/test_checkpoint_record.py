@@ -11,7 +11,8 @@ from typing import Any
 import pytest
 
 from recast.core.errors import InputError
-from recast.trellis.checkpoints import OFFICIAL, read_pipeline, write_pipeline
+from recast.trellis.checkpoint_sizes import OFFICIAL
+from recast.trellis.model_files import read_pipeline, write_pipeline
 from support.trellis_folder import golden_pipeline
 
 STEM = "ckpts/slat_dec_rf_swin8_B_64l8r16_fp16"

@@ -12,14 +12,8 @@ import torch
 from safetensors.torch import load_file, save_file
 
 from recast.core.errors import InputError
-from recast.trellis.checkpoints import (
-    GENERATION_ROLES,
-    OPTIONAL_ROLES,
-    Checkpoint,
-    load_checkpoint,
-    save_checkpoint,
-    verify_checkpoint,
-)
+from recast.trellis.checkpoints import Checkpoint, load_checkpoint, verify_checkpoint
+from recast.trellis.model_files import GENERATION_ROLES, OPTIONAL_ROLES, save_checkpoint
 from support.trellis_folder import write_golden_model
 
 ROLES = (*GENERATION_ROLES, *OPTIONAL_ROLES)

@@ -5,12 +5,10 @@ from __future__ import annotations
 import pytest
 import torch
 
-from recast.trellis.checkpoints import OFFICIAL, SMALL, build, new_checkpoint
-from recast.trellis.checkpoints.load import check_agreement
-from recast.trellis.checkpoints.model_files import file_bytes
-from recast.trellis.checkpoints.pipeline_record import GENERATION_ROLES
-from recast.trellis.checkpoints.sizes import ModelSize
-from recast.trellis.models import TrellisModel
+from recast.trellis.checkpoint_sizes import OFFICIAL, SMALL, ModelSize, new_checkpoint
+from recast.trellis.checkpoints import check_agreement
+from recast.trellis.layers import TrellisModel
+from recast.trellis.model_files import GENERATION_ROLES, build, file_bytes
 from support.trellis import official_keys
 
 # Sizes of the published files.

@@ -11,17 +11,9 @@ import torch
 from rich.console import Console
 from safetensors.torch import load_file, save_file
 
-from recast.trellis.checkpoints import (
-    GENERATION_ROLES,
-    SMALL,
-    ModelCheck,
-    check_details,
-    check_table,
-    first_fault,
-    new_checkpoint,
-    save_checkpoint,
-    verify_checkpoint,
-)
+from recast.trellis.checkpoint_sizes import SMALL, new_checkpoint
+from recast.trellis.checkpoints import check_details, check_table, first_fault, verify_checkpoint
+from recast.trellis.model_files import GENERATION_ROLES, ModelCheck, save_checkpoint
 
 NAMED = [*GENERATION_ROLES, "image_encoder", "sparse_structure_encoder", "slat_encoder"]
 

@@ -10,8 +10,8 @@ from recast.trellis.conditioning import (
     CompactImageEncoder,
     CompactImageEncoderConfig,
     ImageEncoder,
+    grid_positions,
 )
-from recast.trellis.conditioning.encoder import grid_positions
 
 SMALL = CompactImageEncoderConfig(
     image_size=32, stem_channels=(8, 12), channels=16, num_blocks=2, num_heads=2

@@ -9,8 +9,8 @@ import pytest
 import torch
 from pydantic import ValidationError
 
-from recast.trellis.conditioning import Dinov2Config, Dinov2Encoder, ImageEncoder
-from recast.trellis.conditioning.dinov2 import from_hub, hub_name, to_hub
+from recast.trellis.conditioning import ImageEncoder
+from recast.trellis.dinov2 import Dinov2Config, Dinov2Encoder, from_hub, hub_name, to_hub
 from support.trellis import assert_same, golden_config, golden_tensors, official_keys
 
 CONFIG = Dinov2Config(**golden_config("dinov2_tiny")["args"])

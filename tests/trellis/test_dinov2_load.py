@@ -13,8 +13,7 @@ from safetensors.torch import load_file, save_file
 from torch import Tensor
 
 from recast.core.errors import InputError
-from recast.trellis.conditioning import Dinov2Config, Dinov2Encoder, load_dinov2
-from recast.trellis.conditioning.dinov2_load import config_from_shapes
+from recast.trellis.dinov2 import Dinov2Config, Dinov2Encoder, config_from_shapes, load_dinov2
 from support.trellis import assert_same, golden_config, golden_tensors, official_keys
 
 CONFIG = Dinov2Config(**golden_config("dinov2_tiny")["args"])

@@ -8,8 +8,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from recast.trellis.flow_matching import FlowMatching, sample_timesteps, time_bins
-from recast.trellis.sampler import drop_condition
+from recast.trellis.sampler import FlowMatching, drop_condition, sample_timesteps, time_bins
 
 
 def generator(seed: int = 0) -> torch.Generator:

@@ -8,8 +8,7 @@ import torch
 from numpy.typing import NDArray
 
 from recast.core.errors import InputError
-from recast.trellis.generate import ImageTo3D, generate
-from recast.trellis.generation import GenerationLimits, draw_structures
+from recast.trellis.generate import GenerationLimits, ImageTo3D, draw_structures, generate
 from support.trellis_folder import write_golden_model
 
 

@@ -4,8 +4,13 @@ import pytest
 import torch
 from torch import Tensor
 
-from recast.trellis.attention import CrossAttention, DenseTokens, SelfAttention
-from recast.trellis.blocks import ModulatedCrossBlock, TransformerBlock
+from recast.trellis.layers import (
+    CrossAttention,
+    DenseTokens,
+    ModulatedCrossBlock,
+    SelfAttention,
+    TransformerBlock,
+)
 from support.trellis import assert_same, golden_tensors
 
 

@@ -5,7 +5,7 @@ import math
 import pytest
 import torch
 
-from recast.trellis.blocks import absolute_positions, timestep_embedding
+from recast.trellis.layers import absolute_positions, timestep_embedding
 from support.trellis import FLOAT32, assert_same, golden_tensors
 
 

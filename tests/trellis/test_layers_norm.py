@@ -3,7 +3,7 @@ from __future__ import annotations
 import pytest
 import torch
 
-from recast.trellis.attention import ChannelLayerNorm32, LayerNorm32, MultiHeadRmsNorm, final_norm
+from recast.trellis.layers import ChannelLayerNorm32, LayerNorm32, MultiHeadRmsNorm, final_norm
 
 
 def values(*shape: int) -> torch.Tensor:

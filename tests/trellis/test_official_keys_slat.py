@@ -3,7 +3,7 @@ from __future__ import annotations
 import pytest
 import torch
 
-from recast.trellis.checkpoints import build
+from recast.trellis.model_files import build
 from support.trellis import official_keys
 
 STEMS = (

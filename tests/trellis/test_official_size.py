@@ -11,13 +11,9 @@ from pathlib import Path
 import pytest
 import torch
 
-from recast.trellis.checkpoints import (
-    OFFICIAL,
-    load_checkpoint,
-    new_checkpoint,
-    save_checkpoint,
-    verify_checkpoint,
-)
+from recast.trellis.checkpoint_sizes import OFFICIAL, new_checkpoint
+from recast.trellis.checkpoints import load_checkpoint, verify_checkpoint
+from recast.trellis.model_files import save_checkpoint
 
 
 @torch.no_grad()

@@ -8,8 +8,8 @@ import pytest
 import torch
 
 from recast.core.errors import InputError
-from recast.trellis.checkpoints.model_files import MODEL_CLASSES, build
-from recast.trellis.models import SLatFlowModel
+from recast.trellis.flow_transformer import SLatFlowModel
+from recast.trellis.model_files import MODEL_CLASSES, build
 from support.trellis import golden_config, golden_tensors, official_keys
 
 GOLDEN = ("ss_flow", "ss_enc", "ss_dec", "slat_flow", "slat_enc", "slat_dec_gs")

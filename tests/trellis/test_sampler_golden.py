@@ -7,7 +7,7 @@ import torch
 from tests.trellis.sparse_samples import one_sample
 from torch import Tensor
 
-from recast.trellis.models.flow_transformer import (
+from recast.trellis.flow_transformer import (
     SLatFlowConfig,
     SLatFlowModel,
     SparseStructureFlowConfig,

@@ -8,9 +8,8 @@ import torch
 from tests.trellis.sparse_samples import one_sample
 from torch import Tensor, nn
 
-from recast.trellis.attention import LayerNorm32
-from recast.trellis.blocks import SparseResBlock3d
-from recast.trellis.models import SLatFlowConfig, SLatFlowModel
+from recast.trellis.flow_transformer import SLatFlowConfig, SLatFlowModel
+from recast.trellis.layers import LayerNorm32, SparseResBlock3d
 from recast.trellis.sparse import SparseTensor, pool, unpool
 from support.trellis import AFTER_TIME, assert_same, golden_config, golden_tensors, half_bound
 

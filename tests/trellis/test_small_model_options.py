@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import torch
 
-from recast.trellis.checkpoints import SMALL, build, new_checkpoint
-from recast.trellis.models.slat_vae import SLatGaussianDecoder
+from recast.trellis.checkpoint_sizes import SMALL, new_checkpoint
+from recast.trellis.model_files import build
+from recast.trellis.slat_vae import SLatGaussianDecoder
 from recast.trellis.sparse import SparseTensor
 from support.trellis import golden_config, golden_tensors
 

@@ -9,11 +9,10 @@ from tests.trellis.sparse_samples import COUNTS, SEEDS, examples, normal, one_sa
 from torch.nn.functional import conv3d
 
 from recast.core.errors import InputError
-from recast.trellis.sparse import (
-    SparseTensor,
+from recast.trellis import sparse_convolution
+from recast.trellis.sparse import SparseTensor, neighbour_map
+from recast.trellis.sparse_convolution import (
     SubMConv3d,
-    convolution,
-    neighbour_map,
     submanifold_convolution,
     submanifold_convolution_reference,
 )
@@ -51,7 +50,7 @@ def test_equals_the_dense_convolution(seed: int, counts: list[int]) -> None:
     torch.testing.assert_close(submanifold_convolution(x, weight, bias).feats, expected)
     twin = submanifold_convolution_reference(x, weight, bias).feats
     torch.testing.assert_close(twin, expected)
-    by_pairs = convolution.PairGemm.apply(x.feats, weight.flatten(1, 3), neighbour_map(x))
+    by_pairs = sparse_convolution.PairGemm.apply(x.feats, weight.flatten(1, 3), neighbour_map(x))
     torch.testing.assert_close(by_pairs + bias, expected)
 
 
@@ -84,10 +83,10 @@ def test_samples_do_not_mix(seed: int, counts: list[int]) -> None:
 def way(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> str:
     """Either matrix product, whatever the shapes would choose, whole or in small pieces."""
     one, *pieces = request.param.split(" ", 1)
-    monkeypatch.setattr(convolution, "_few_products", lambda x, weight: one == "im2col")
+    monkeypatch.setattr(sparse_convolution, "_few_products", lambda x, weight: one == "im2col")
     if pieces:
-        monkeypatch.setattr(convolution, "PAIR_ELEMENTS", 8)
-        monkeypatch.setattr(convolution, "IM2COL_ELEMENTS", 8 * 27)
+        monkeypatch.setattr(sparse_convolution, "PAIR_ELEMENTS", 8)
+        monkeypatch.setattr(sparse_convolution, "IM2COL_ELEMENTS", 8 * 27)
     return str(request.param)
 
 
@@ -113,9 +112,9 @@ def test_every_way_equals_the_twin() -> None:
 def test_shapes_choose_the_way() -> None:
     few, many = random_sparse(0, [50], 64), random_sparse(0, [3000], 64, resolution=20)
     weight = torch.zeros(64, 3, 3, 3, 64)
-    assert convolution._few_products(few, weight)
-    assert not convolution._few_products(many, weight)
-    assert convolution._few_products(many, weight[:16, ..., :16])
+    assert sparse_convolution._few_products(few, weight)
+    assert not sparse_convolution._few_products(many, weight)
+    assert sparse_convolution._few_products(many, weight[:16, ..., :16])
 
 
 @pytest.mark.usefixtures("way")

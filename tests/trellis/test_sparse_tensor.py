@@ -8,8 +8,7 @@ from hypothesis import given
 from tests.trellis.sparse_samples import COUNTS, SEEDS, examples, one_sample, random_sparse
 
 from recast.core.errors import InputError
-from recast.trellis.sparse import SparseTensor, neighbour_map
-from recast.trellis.sparse.tensor import CENTRE, OFFSETS
+from recast.trellis.sparse import CENTRE, OFFSETS, SparseTensor, neighbour_map
 
 
 def test_samples_keep_their_rows_and_empty_ones_count() -> None:

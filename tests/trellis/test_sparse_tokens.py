@@ -9,8 +9,13 @@ from hypothesis import strategies as st
 from tests.trellis.sparse_samples import COUNTS, SEEDS, examples, normal, random_sparse
 from torch import Tensor
 
-from recast.trellis.sparse import PackedTokens, SparseTensor, WindowedTokens, window_partition
-from recast.trellis.sparse.tokens import attention_reference
+from recast.trellis.sparse import (
+    PackedTokens,
+    SparseTensor,
+    WindowedTokens,
+    attention_reference,
+    window_partition,
+)
 from support.trellis import golden_tensors
 
 

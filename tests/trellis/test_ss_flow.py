@@ -8,7 +8,7 @@ import torch
 from pydantic import ValidationError
 from torch import Tensor
 
-from recast.trellis.models.flow_transformer import (
+from recast.trellis.flow_transformer import (
     SparseStructureFlowConfig,
     SparseStructureFlowModel,
     patchify,

@@ -6,8 +6,8 @@ from typing import Any
 import pytest
 import torch
 
-from recast.trellis.models.base import Posterior
-from recast.trellis.models.ss_vae import (
+from recast.trellis.layers import Posterior
+from recast.trellis.ss_vae import (
     SparseStructureDecoder,
     SparseStructureDecoderConfig,
     SparseStructureEncoder,

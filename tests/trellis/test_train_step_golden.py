@@ -6,15 +6,14 @@ import pytest
 import torch
 from torch import Tensor, nn
 
-from recast.training.averages import AdaptiveGradClipper, ExponentialMovingAverage
-from recast.trellis.flow_matching import FlowLoss, FlowMatching
-from recast.trellis.models.flow_transformer import (
+from recast.training.state import AdaptiveGradClipper, ExponentialMovingAverage
+from recast.trellis.flow_transformer import (
     SLatFlowConfig,
     SLatFlowModel,
     SparseStructureFlowConfig,
     SparseStructureFlowModel,
 )
-from recast.trellis.sampler import drop_condition
+from recast.trellis.sampler import FlowLoss, FlowMatching, drop_condition
 from recast.trellis.sparse import SparseTensor
 from support.trellis import AFTER_TIME, assert_same, golden_config, golden_tensors
 

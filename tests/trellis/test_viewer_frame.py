@@ -5,7 +5,7 @@ from __future__ import annotations
 import torch
 
 from recast.splats import Gaussians, read_ply
-from recast.trellis.generation import viewer_frame
+from recast.trellis.generate import viewer_frame
 from support.trellis import FOLDER, assert_same
 
 

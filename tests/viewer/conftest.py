@@ -11,10 +11,10 @@ import torch
 from own_parts import Box
 from recast.logs import DrivingLog, HdMap, map_of
 from recast.planning import make_planner
-from recast.runs.view_run import log_runner
+from recast.runs.view import log_runner
 from recast.scene import StreetScene
+from recast.scene.actor import SceneActor
 from recast.scene.sky import SkyMap
-from recast.scene.street_scene import SceneActor
 from recast.simulation import MOTIONS, Rollout, RolloutSetup, camera_mounts, run_rollout
 from recast.splats import Gaussians
 from recast.splats.sh import C0
@@ -75,10 +75,7 @@ def drive(tiny_log: DrivingLog, tiny_map: HdMap, rollout: Rollout) -> ViewedDriv
 
 @pytest.fixture(scope="session")
 def inputs(
-    tiny_log: DrivingLog,
-    tiny_map: HdMap,
-    scenes: dict[str, StreetScene | None],
-    drive: ViewedDrive,
+    tiny_log: DrivingLog, tiny_map: HdMap, scenes: dict[str, StreetScene | None], drive: ViewedDrive
 ) -> ViewInputs:
     runner = log_runner(tiny_log, tiny_map, scenes, scenes["native"])
     return ViewInputs(

@@ -12,14 +12,14 @@ import shapely
 from recast.geometry import se3
 from recast.logs import DrivingLog, HdMap
 from recast.metrics import rollout_metrics
-from recast.runs import view_run
+from recast.runs import view
 from recast.runs.arms import Arm
 from recast.scene import StreetScene
 from recast.simulation import Rollout
 from recast.viewer import ViewedDrive, recording
-from recast.viewer.bake import drivable_mesh, segments
 from recast.viewer.drives import FilmFrames, sampled
-from recast.viewer.panel_play import ABOVE, AT_ACTOR, BEHIND_EGO, look, look_names
+from recast.viewer.panels import ABOVE, AT_ACTOR, BEHIND_EGO, look, look_names
+from recast.viewer.splat_nodes import drivable_mesh, segments
 
 
 def test_a_recording_has_every_track_where_the_log_has_it(tiny_log: DrivingLog) -> None:
@@ -101,10 +101,10 @@ def test_an_arm_without_gaussians_of_its_target_shows_the_street_alone(
 ) -> None:
     native = scenes["native"]
     assert native is not None
-    monkeypatch.setattr(view_run, "load_scene", lambda _: native)
+    monkeypatch.setattr(view, "load_scene", lambda _: native)
     found = SimpleNamespace(path=Path())
     arms = {arm.name: arm for arm in (Arm.native(), Arm.oracle("recast"), Arm.empty())}
-    shown = view_run._Scenes(arms, {}, lambda _: found, "0")
+    shown = view._Scenes(arms, {}, lambda _: found, "0")
     assert {name: list(scene.actors) for name, scene in shown.items() if scene is not None} == {
         "native": ["0"],
         "recast+oracle": [],

@@ -16,8 +16,8 @@ import pytest
 from recast.core.errors import InputError
 from recast.geometry import se3
 from recast.viewer import Page, ViewInputs
-from recast.viewer.panel_layers import Browser, ExactView
-from recast.viewer.panel_track import faded, track_evidence
+from recast.viewer.panel_run import faded, track_evidence
+from recast.viewer.panels import Browser, ExactView
 from recast.viewer.stage import Shown, ViewerStage
 
 pytest.importorskip("viser")

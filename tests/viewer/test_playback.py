@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from recast.viewer import ViewedDrive, ViewInputs
-from recast.viewer.playback import Playback
+from recast.viewer.stage import Playback
 
 
 def of_steps(*drives: tuple[int, float]) -> Playback:

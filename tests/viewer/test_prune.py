@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import torch
 
-from recast.viewer.bake import NEAREST, importance, most_important, path_distances
+from recast.viewer.splat_nodes import NEAREST, importance, most_important, path_distances
 from viewer.conftest import grey_gaussians
 
 

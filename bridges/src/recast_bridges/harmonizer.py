@@ -14,6 +14,7 @@ from typing import Any
 from recast.arrays import Image
 from recast.core.json_service import JsonService
 from recast.logs.images import decode, encode
+from recast.simulation.restoring import BaseRestorer
 
 SECONDS = 300.0
 """Within which the images of a step must be back."""
@@ -24,7 +25,7 @@ _PARAMETERS = {"output_format": "png", "context_length": 0, "return_policy": "al
 _SPARE = 1 << 20
 
 
-class HarmonizerRestorer:
+class HarmonizerRestorer(BaseRestorer):
     """Sends the images of a step to a Harmonizer, which answers in their sizes.
 
     Nothing is open between two steps.

@@ -19,7 +19,7 @@ from recast.core.workers import use_threads
 from recast.geometry import se3
 from recast.logs import DrivingLog, load_log
 from recast.runs.run_folder import RUN_FILE
-from recast.runs.view_run import run_inputs
+from recast.runs.view import run_inputs
 from recast.scene import StreetScene, load_scene
 from recast.scene.imported import given_placement
 from recast.scene.store import SCENE_FILE

@@ -2,13 +2,14 @@
 
 from recast.actors.actor import Actor, Provenance, RegistrationReport
 from recast.actors.axes import AUTO, CONVENTIONS, AxisConvention, axes_of
-from recast.actors.drawing import orbit, turntable
+from recast.actors.drawing import turntable
 from recast.actors.export import export_actor
 from recast.actors.generate import (
     DEFAULT_GENERATOR,
     GENERATORS,
     ActorGenerator,
     Asset,
+    BaseGenerator,
     make_generator,
 )
 from recast.actors.grounded_segmenter import (
@@ -27,6 +28,7 @@ from recast.actors.segment import BoxLidarSegmenter, Segmentation, SegmentationT
 from recast.actors.splat_files import SplatGenerator
 from recast.actors.template import TemplateGenerator
 from recast.actors.vehicle_files import load_actor, save_actor
+from recast.scene.actor import orbit
 
 __all__ = [
     "AUTO",
@@ -39,6 +41,7 @@ __all__ = [
     "ActorGenerator",
     "Asset",
     "AxisConvention",
+    "BaseGenerator",
     "BoxLidarSegmenter",
     "GroundedSamSegmenter",
     "MaskQuality",

@@ -287,7 +287,7 @@ class Actor:
             registered.
         trajectory: the track's poses as corrected with the actor, world frame; None likewise.
         sun: (D,) what its shadow in the log says of the sun, see
-            `recast.actors.refine.surroundings.ShadowEvidence`; None likewise.
+            `recast.actors.refine.images.ShadowEvidence`; None likewise.
     """
 
     track_id: str

@@ -14,9 +14,15 @@ import numpy as np
 import torch
 
 from recast.actors.actor import Actor, CandidateRecord, CandidateScore
-from recast.actors.drawing import colour_difference, draw
+from recast.actors.drawing import colour_difference
 from recast.actors.evidence import Evidence, Sighting
-from recast.actors.generate import ActorGenerator, Asset, candidates_of, recast_mini_generator
+from recast.actors.generate import (
+    ActorGenerator,
+    Asset,
+    BaseGenerator,
+    candidates_of,
+    recast_mini_generator,
+)
 from recast.actors.icp import fit_of, outer_surface, thinned
 from recast.actors.observation import Observation
 from recast.actors.register import register
@@ -24,6 +30,7 @@ from recast.actors.template import TemplateGenerator
 from recast.core.errors import InputError
 from recast.core.progress import Progress
 from recast.logs import DrivingLog
+from recast.scene.actor import draw
 
 _IMAGES = 16
 _LIDAR_POINTS = 6000
@@ -35,7 +42,7 @@ LEAST_OUTLINE, LEAST_LIDAR = 0.75, 0.7
 """Overlap with the masks, and share of the LiDAR points within 10 cm, of a vehicle that fits."""
 
 
-class AutoGenerator:
+class AutoGenerator(BaseGenerator):
     """Offers the vehicles of generators; of the template and the small model if none are given."""
 
     name = "auto"
@@ -44,7 +51,7 @@ class AutoGenerator:
         self.generators = generators or (TemplateGenerator(), recast_mini_generator())
 
     def candidates(self, observation: Observation, seed: int) -> Sequence[Callable[[], Asset]]:
-        """See `OffersCandidates`."""
+        """Those of each generator, in order."""
         return [
             make
             for generator in self.generators

@@ -14,8 +14,7 @@ from recast.arrays import Array
 from recast.cameras import PinholeCamera, box_rectangle
 from recast.geometry import se3
 from recast.scene import StreetScene
-from recast.scene.render import frozen_parts
-from recast.scene.street_scene import SceneActor
+from recast.scene.actor import SceneActor
 from recast.splats import (
     Gaussians,
     freeze,
@@ -142,7 +141,7 @@ class CoverageMeter:
         background = _black(scene.background)
         self._street = freeze(background.select(morton_order(background.means)).to(place))
         self._parts = {
-            key: frozen_parts(painted if key == track_id else _black_actor(actor), place)
+            key: (painted if key == track_id else _black_actor(actor)).frozen(place)
             for key, actor in scene.actors.items()
         }
 

@@ -20,8 +20,8 @@ from recast.core.errors import InputError
 from recast.core.records import Record, parse_record
 from recast.logs.checks import WORLD_REACH, check_poses
 from recast.scene import StreetScene
-from recast.scene.dynamic import pose_at
-from recast.scene.tensor_file import read_tensors, write_tensors
+from recast.scene.poses import pose_at
+from recast.scene.store import read_tensors, write_tensors
 
 EVIDENCE_VERSION = 1
 _MEND = "make the actor again"

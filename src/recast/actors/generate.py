@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
+from abc import abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
-from typing import Protocol, runtime_checkable
+from typing import Protocol
 
 from recast.actors.axes import AUTO, UNIT_CUBE_X_FORWARD, UNIT_CUBE_Z_UP, AxisConvention, axes_of
 from recast.actors.observation import Observation
 from recast.core.errors import InputError
-from recast.core.foreign import foreign_call, read_only
+from recast.core.foreign import BasePart, foreign_call, read_only, whole
 from recast.core.plugins import GENERATORS
 from recast.splats import CLASSIC, Gaussians, LowPass
 from recast.trellis import (
@@ -50,7 +51,10 @@ class Asset:
 
 
 class ActorGenerator(Protocol):
-    """Makes a view-complete vehicle from one view of it."""
+    """Makes a view-complete vehicle from one view of it.
+
+    These members are enough; `BaseGenerator` has all others, with their defaults.
+    """
 
     name: str
 
@@ -58,22 +62,32 @@ class ActorGenerator(Protocol):
         """The vehicle; the same observation and seed give the same asset."""
 
 
-@runtime_checkable
-class OffersCandidates(Protocol):
-    """A generator that knows several vehicles which the view may show."""
+class BaseGenerator(BasePart):
+    """An `ActorGenerator` with all members that are asked for: derive yours from it."""
+
+    name: str
+
+    @abstractmethod
+    def generate(self, observation: Observation, seed: int) -> Asset:
+        """The vehicle; the same observation and seed give the same asset."""
 
     def candidates(self, observation: Observation, seed: int) -> Sequence[Callable[[], Asset]]:
-        """What makes each of them, the likeliest first; each may raise InputError."""
+        """Functions that make each of the vehicles that the view may show, the likeliest first;
+        each may raise InputError. The one of `generate` unless a generator knows several."""
+        return [partial(generated, self, observation, seed)]
 
 
 def candidates_of(
     generator: ActorGenerator, observation: Observation, seed: int
 ) -> Sequence[Callable[[], Asset]]:
-    """What makes each vehicle that a generator offers: all it has, or the one."""
-    if isinstance(generator, OffersCandidates):
-        with foreign_call(f"generator {generator.name}", "candidates", generator, seed):
-            return generator.candidates(read_only(observation), seed)
-    return [lambda: generated(generator, observation, seed)]
+    """What makes each vehicle that a generator, which may be a user's, offers; read-only input.
+
+    Raises:
+        InputError: see `generated`.
+    """
+    offering = whole(generator, BaseGenerator)
+    with foreign_call(f"generator {generator.name}", "candidates", offering, seed):
+        return offering.candidates(read_only(observation), seed)
 
 
 def generated(generator: ActorGenerator, observation: Observation, seed: int) -> Asset:
@@ -86,8 +100,8 @@ def generated(generator: ActorGenerator, observation: Observation, seed: int) ->
         return generator.generate(read_only(observation), seed)
 
 
-def make_generator(generator: str | Path | ActorGenerator, axes: str = AUTO) -> ActorGenerator:
-    """Make a generator, or return the one given.
+def make_generator(generator: str | Path | ActorGenerator, axes: str = AUTO) -> BaseGenerator:
+    """Make a generator, or return the one given, with all members that it lacks.
 
     Args:
         generator: one of `GENERATORS.names()`; a PLY, GLB, OBJ, SPZ or USDA file;
@@ -108,10 +122,10 @@ def make_generator(generator: str | Path | ActorGenerator, axes: str = AUTO) -> 
             f"does not apply to the generator {generator}, whose axes are fixed",
             "leave `axes` out",
         )
-    return GENERATORS.resolve(generator, **options)
+    return whole(GENERATORS.resolve(generator, **options), BaseGenerator)
 
 
-class ImageTo3DGenerator:
+class ImageTo3DGenerator(BaseGenerator):
     """Generates the vehicle from its RGBA crop (RECAST, section 2, inference), or from several.
 
     Further views in which the vehicle is cut off are left out.
@@ -146,7 +160,7 @@ class ImageTo3DGenerator:
         self.limits = limits or GenerationLimits(retries=3)
 
     def candidates(self, observation: Observation, seed: int) -> Sequence[Callable[[], Asset]]:
-        """Vehicles of `seed` and further ones; see `recast.actors.generate.OffersCandidates`.
+        """Vehicles of `seed` and further ones; see `BaseGenerator.candidates`.
 
         Of several views, every second seed gets the best one alone.
         """

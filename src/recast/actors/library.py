@@ -20,7 +20,7 @@ from numpy.typing import ArrayLike
 
 from recast.actors.axes import AUTO, lengthwise_yaw
 from recast.actors.drawing import agree, draw_beside
-from recast.actors.generate import Asset
+from recast.actors.generate import Asset, BaseGenerator
 from recast.actors.icp import extent, fit_of
 from recast.actors.mesh import read_triangles
 from recast.actors.mesh.generator import sampled
@@ -159,7 +159,7 @@ class Ranked:
         return f"{self.path.name} {self.cost:.1f} ({terms})"
 
 
-class LibraryGenerator:
+class LibraryGenerator(BaseGenerator):
     """Picks vehicles of a folder: PLY, GLB and OBJ files and actors' folders, one level deep.
 
     Args:
@@ -197,7 +197,7 @@ class LibraryGenerator:
         return self.candidates(observation, seed)[0]()
 
     def candidates(self, observation: Observation, seed: int) -> Sequence[Callable[[], Asset]]:
-        """The best few, the best first; see `OffersCandidates`.
+        """The best few, the best first; see `BaseGenerator.candidates`.
 
         Raises:
             InputError: see `generate`.

@@ -7,13 +7,12 @@ from pathlib import Path
 import numpy as np
 
 from recast.actors.axes import AUTO, AxisConvention, axes_of, upright
-from recast.actors.generate import Asset
+from recast.actors.generate import Asset, BaseGenerator
 from recast.actors.icp import outer_surface
 from recast.actors.observation import Observation
 from recast.core.errors import InputError
 from recast.splats import CLASSIC, MIP, Gaussians, LowPass
-from recast.splats.formats import GLTF, format_of, splat_suffixes
-from recast.splats.gltf import has_gaussians
+from recast.splats.formats import GLTF, format_of, has_gaussians, splat_suffixes
 
 # Of the published decoder of TRELLIS, in unit cubes (rounded up by what float32 and text lose).
 _PER_VOXEL, _LARGEST_SPREAD, _LEAST_DEVIATION = 32, 1.5 / 64 + 1e-5, 9e-4
@@ -29,7 +28,7 @@ def holds_gaussians(path: Path) -> bool:
     return has_gaussians(path) if suffix == GLTF.suffix else suffix in splat_suffixes()
 
 
-class SplatGenerator:
+class SplatGenerator(BaseGenerator):
     """Takes the Gaussians of a PLY, glTF, SPZ or OpenUSD file whatever the observation shows.
 
     Args:

@@ -16,7 +16,7 @@ from safetensors.torch import save
 from recast.actors.actor import Actor, Provenance, triple
 from recast.actors.axes import AUTO, VEHICLE
 from recast.actors.coverage import Shares
-from recast.actors.generate import ActorGenerator, Asset
+from recast.actors.generate import ActorGenerator, Asset, BaseGenerator
 from recast.actors.mesh import MESH_SUFFIXES, MeshGenerator, files_of_mesh
 from recast.actors.observation import Observation
 from recast.actors.splat_files import SplatGenerator, holds_gaussians
@@ -209,7 +209,7 @@ def files_of_vehicle(path: Path) -> list[Path]:
     return files_of_mesh(path) if path.suffix.lower() in MESH_SUFFIXES else [path]
 
 
-class ActorFolderGenerator:
+class ActorFolderGenerator(BaseGenerator):
     """Takes the vehicle of an actor that was made for another track."""
 
     name = "actor"

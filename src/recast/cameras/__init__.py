@@ -1,7 +1,6 @@
 """Cameras: pinholes and other lenses, mounts on the rig, virtual views."""
 
-from recast.cameras.lens_images import Lens
-from recast.cameras.lenses import LensCamera, RadialLens, RationalLens
+from recast.cameras.lenses import Lens, LensCamera, RadialLens, RationalLens
 from recast.cameras.mounts import CameraMount, Look, View, nuplan_rig
 from recast.cameras.pinhole import PinholeCamera, box_outline, box_rectangle
 

@@ -9,7 +9,7 @@ from typing import Annotated, Literal
 import tyro
 
 from recast.cli import shared
-from recast.cli.output import JSON, console_for, print_json
+from recast.cli.shared import JSON, console_for, print_json
 
 SAMPLING_STEPS = shared.option("Number of sampling steps of structure and latent.", "the model's")
 MAX_VOXELS = shared.option(
@@ -47,11 +47,13 @@ class Make:
         from recast.core.errors import require_range
         from recast.core.files import atomic_folder
         from recast.logs import read_log
+        from recast.reconstruction.config import SceneConfig
+        from recast.reconstruction.train import read_training_config
         from recast.runs.actor import ActorMakers, film_turntable, make_actor, refine_actor
         from recast.runs.arms import MOST_VIEWS
         from recast.runs.display import SamplingProgress, print_actor
-        from recast.runs.layout import TURNTABLE_FILE
-        from recast.scene import SceneConfig, load_scene, read_training_config
+        from recast.runs.run_folder import TURNTABLE_FILE
+        from recast.scene import load_scene
 
         require_range(1, MOST_VIEWS, views=self.views)
         console = console_for(self.json)
@@ -116,12 +118,7 @@ class Generate:
     ] = None
 
     def __call__(self) -> None:
-        from recast.runs.generate_actor import (
-            GenerationRequest,
-            cost_lines,
-            generate_actors,
-            load_model,
-        )
+        from recast.runs.actor import GenerationRequest, cost_lines, generate_actors, load_model
         from recast.trellis import GenerationLimits
         from recast.weights import located
 

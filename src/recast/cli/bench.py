@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import tyro
 
 from recast.cli import shared
-from recast.cli.output import JSON, console_for, print_json
+from recast.cli.shared import JSON, console_for, print_json
 
 if TYPE_CHECKING:
     from recast.studies import BenchSettings
@@ -240,8 +240,7 @@ class Trust:
         ),
     ] = ()
     calibration: Annotated[
-        Path | None,
-        shared.option("Calibration to validate, if no grid is given.", "the package's"),
+        Path | None, shared.option("Calibration to validate, if no grid is given.", "the package's")
     ] = None
     json: Annotated[bool, JSON] = False
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import tyro
 
 from recast.cli import shared
-from recast.cli.output import JSON, console_for, print_json
+from recast.cli.shared import JSON, console_for, print_json
 
 if TYPE_CHECKING:
     from recast.recar.perturb import PerturbationConfig
@@ -38,8 +38,7 @@ class EvalActor:
         Path | None, shared.option("Scene folder of the log, with models of the tracks.")
     ] = None
     track: Annotated[
-        shared.Names,
-        shared.option("Id of a track of the log to evaluate. May be repeated."),
+        shared.Names, shared.option("Id of a track of the log to evaluate. May be repeated.")
     ] = ()
     segmenter: Annotated[str, shared.SEGMENTER] = "box-lidar"
     axes: Annotated[str, shared.AXES] = "auto"
@@ -93,9 +92,10 @@ class EvalActor:
     def _judge_tracks(self) -> None:
         from recast.core.errors import InputError
         from recast.logs import read_log
+        from recast.reconstruction import read_training_config
         from recast.runs.actor import ActorMakers
         from recast.runs.display import SamplingProgress
-        from recast.scene import load_scene, read_training_config
+        from recast.scene import load_scene
         from recast.studies.actors import evaluate_tracks, tracks_table
 
         if self.scene is None:
@@ -166,15 +166,10 @@ class EvalGeneration:
 
     def __call__(self) -> None:
         from recast.core.progress import ProgressBar
-        from recast.studies.generation.maker import Measures
-        from recast.studies.generation.plan import StudySettings
-        from recast.studies.generation.report import (
-            differences_table,
-            paper_table,
-            study_table,
-        )
+        from recast.studies.generation.cells import Measures
+        from recast.studies.generation.report import differences_table, paper_table, study_table
         from recast.studies.generation.rows import parse_models, read_rows
-        from recast.studies.generation.study import run_study
+        from recast.studies.generation.study import StudySettings, run_study
         from recast.weights import located
 
         models, beside = parse_models(self.model), dict[str, str]()
@@ -249,7 +244,7 @@ class EvalInputs:
     limit: Annotated[int | None, shared.LIMIT] = None
 
     def __call__(self) -> None:
-        from recast.studies.generation.plan import StudySettings, write_inputs
+        from recast.studies.generation.study import StudySettings, write_inputs
 
         settings = StudySettings(
             {},
@@ -274,9 +269,5 @@ def _perturbations(what: str | None) -> PerturbationConfig | None:
 Eval = shared.group(
     "eval",
     "Evaluate generators of vehicles on held-out images; recast-bridges scores rollouts.",
-    {
-        "actor": EvalActor,
-        "generation": EvalGeneration,
-        "inputs": EvalInputs,
-    },
+    {"actor": EvalActor, "generation": EvalGeneration, "inputs": EvalInputs},
 )

@@ -1,14 +1,15 @@
-"""`recast doctor` and `recast weights`: what this machine has, and published weights by name."""
+"""`recast doctor`, `weights`, `store` and `trellis`: what this machine and its folders have."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Annotated
 
 import tyro
 
 from recast.cli import shared
-from recast.cli.output import JSON, console_for, print_json
+from recast.cli.shared import JSON, console_for, print_json
 
 _NAME = tyro.conf.arg(metavar="NAME")
 
@@ -81,7 +82,7 @@ class WeightsVerify:
 
 
 @dataclass(frozen=True)
-class Path:
+class WeightsPath:
     """Print the folder or file of downloaded weights."""
 
     name: Annotated[tyro.conf.Positional[str], _NAME]
@@ -97,5 +98,126 @@ class Path:
 Weights = shared.group(
     "weights",
     "List, download and check published weights; recast downloads nothing else.",
-    {"list": WeightsList, "get": Get, "verify": WeightsVerify, "path": Path},
+    {"list": WeightsList, "get": Get, "verify": WeightsVerify, "path": WeightsPath},
+)
+
+
+@dataclass(frozen=True)
+class StoreList:
+    """List the artefacts of a store with their size, the time to make them, and their users."""
+
+    store: tyro.conf.Positional[str]
+    """Folder of the store, such as runs/store."""
+    json: Annotated[bool, JSON] = False
+
+    def __call__(self) -> None:
+        from recast.cli.rows.machine import list_store, opened_store, store_rows
+
+        store = opened_store(self.store)
+        list_store(store, console_for(self.json))
+        if self.json:
+            print_json(store_rows(store))
+
+
+@dataclass(frozen=True)
+class Why:
+    """Print the inputs of an artefact as a tree, with the inputs of these inputs."""
+
+    store: tyro.conf.Positional[str]
+    """Folder of the store."""
+    key: tyro.conf.Positional[str]
+    """Key of the artefact; its first digits are enough."""
+
+    def __call__(self) -> None:
+        from recast.cli.rows.machine import explain_artefact
+
+        explain_artefact(self.store, self.key, console_for(False))
+
+
+@dataclass(frozen=True)
+class Prune:
+    """List unused artefacts and the leftovers of killed commands; --yes removes them."""
+
+    store: tyro.conf.Positional[str]
+    """Folder of the store."""
+    yes: bool = False
+    """Remove the listed artefacts and leftovers."""
+    older_than: float = 24.0
+    """Minimum age of an artefact in hours; a younger one may belong to a run in progress."""
+
+    def __call__(self) -> None:
+        from recast.cli.rows.machine import prune_store
+
+        prune_store(self.store, self.yes, self.older_than, console_for(False))
+
+
+Store = shared.group(
+    "store",
+    "List, explain or remove the artefacts (scenes, actors, rollouts) that runs share.",
+    {"list": StoreList, "why": Why, "prune": Prune},
+)
+
+
+@dataclass(frozen=True)
+class TrellisVerify:
+    """Check names, shapes, types and sizes of the weights in a model folder."""
+
+    folder: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="DIR")]
+    """Folder in the published layout (pipeline.json and ckpts/), recast-mini (in the package) or
+    trellis (recast weights)."""
+    values: bool = False
+    """Read every tensor, and check that all values are finite."""
+    json: Annotated[bool, JSON] = False
+
+    def __call__(self) -> None:
+        from recast.trellis.checkpoints import (
+            check_details,
+            check_table,
+            first_fault,
+            verify_checkpoint,
+        )
+        from recast.weights import located
+
+        folder = located("--model", self.folder)
+        checks = verify_checkpoint(folder, values=self.values)
+        console = console_for(self.json)
+        if self.json:
+            from recast.cli.rows.vehicles import check_rows
+
+            print_json(check_rows(checks))
+        else:
+            console.print(check_table(checks, folder))
+        for check in checks:
+            for line in check_details(check):
+                console.print(line, markup=False, highlight=False, soft_wrap=True)
+        fault = first_fault(checks)
+        if fault is not None:
+            raise fault
+
+
+@dataclass(frozen=True)
+class TrellisExport:
+    """Write the weights that generation needs, in half precision, to a smaller model folder."""
+
+    folder: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="DIR")]
+    """Folder in the published layout (pipeline.json and ckpts/), recast-mini (in the package) or
+    trellis (recast weights)."""
+    out: Path
+    """New model folder."""
+
+    def __call__(self) -> None:
+        from recast.trellis.checkpoints import export_model
+        from recast.weights import located
+
+        export_model(located("--model", self.folder), self.out)
+        size = sum(path.stat().st_size for path in self.out.rglob("*") if path.is_file())
+        console_for(False).print(
+            f"wrote {self.out}: {size / 1e6:.1f} MB", markup=False, soft_wrap=True
+        )
+
+
+Trellis = shared.group(
+    "trellis",
+    "Check or export model folders of the image-to-3D model.",
+    {"verify": TrellisVerify, "export": TrellisExport},
 )

@@ -25,15 +25,12 @@ from recast.cli import shared
 from recast.cli.actor import Actor
 from recast.cli.bench import Bench
 from recast.cli.eval import Eval
-from recast.cli.log import Log
-from recast.cli.machine import Doctor, Weights
-from recast.cli.output import line_of
+from recast.cli.log import Log, Scenario
+from recast.cli.machine import Doctor, Store, Trellis, Weights
 from recast.cli.recar import Recar
 from recast.cli.run import Demo, Report, Run, ViewCommand
-from recast.cli.scenario import Scenario
 from recast.cli.scene import Scene
-from recast.cli.store import Store
-from recast.cli.trellis import Trellis
+from recast.cli.shared import line_of
 from recast.core import diagnostics, files
 from recast.core.diagnostics import Diagnostics
 from recast.core.errors import InputError, nearest
@@ -270,7 +267,6 @@ def _refuse(program: str, words: Sequence[str], event: refused.ParseErrorEvent) 
 
     Args:
         program: the command, such as "recast log info".
-        words: words after it.
     """
     options = _options(program)
     for word in words:

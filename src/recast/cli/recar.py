@@ -10,9 +10,9 @@ import tyro
 
 from recast.cli import shared
 from recast.cli.actor import MAX_VOXELS, SAMPLING_STEPS
-from recast.cli.output import JSON, console_for, print_json
-from recast.cli.recar_sets import Ingest, Pack, Perturb, RecarCamera, Screen
+from recast.cli.recar_sets import Ingest, Perturb, RecarCamera, Screen
 from recast.cli.recar_train import RecarTrain
+from recast.cli.shared import JSON, console_for, print_json
 
 
 @dataclass(frozen=True)
@@ -23,7 +23,7 @@ class RecarTargets:
     """
 
     set: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="SET")]
-    """Vehicle set, in folders or shards."""
+    """Vehicle set."""
     model: Path
     """Model folder in the published layout (pipeline.json, ckpts/), recast-mini (in the package)
     or trellis (recast weights)."""
@@ -75,21 +75,15 @@ class RecarTargets:
 
         from recast.core.errors import require_range
         from recast.core.progress import ProgressBar
-        from recast.recar.shards import open_set
-        from recast.recar.targets import (
-            FilterSettings,
-            ModelSource,
-            TargetSettings,
-            build_targets,
-            target_statistics,
-            target_table,
-        )
+        from recast.recar.target_maker import FilterSettings, ModelSource, TargetSettings
+        from recast.recar.targets import build_targets, target_statistics, target_table
+        from recast.recar.vehicle_set import read_set
         from recast.trellis.checkpoints import read_pipeline
         from recast.weights import located
 
         require_range(0, seed=self.seed, retries=self.retries)
         require_range(1, limit=self.limit, max_voxels=self.max_voxels, steps=self.steps)
-        vehicles = open_set(self.set)
+        vehicles = read_set(self.set)
         model = located("--model", self.model)
         pipeline = read_pipeline(model)
         settings = TargetSettings(
@@ -178,13 +172,7 @@ class RecarSynth:
         from recast.recar import SynthesisSettings, synthesize_set
 
         settings = SynthesisSettings(
-            self.seed,
-            self.views,
-            self.width,
-            self.height,
-            self.kinds,
-            self.licence,
-            self.held_out,
+            self.seed, self.views, self.width, self.height, self.kinds, self.licence, self.held_out
         )
         console = console_for(False)
         with ProgressBar("pictures", console) as progress:
@@ -203,13 +191,13 @@ class RecarSynth:
 
 @dataclass(frozen=True)
 class Stats:
-    """Count the vehicles of a set, check its images, and draw its figure."""
+    """Count the vehicles of a set, check its images, and draw an overview."""
 
     set: tyro.conf.Positional[Path]
-    """Set folder, or a folder of shards."""
-    out: Annotated[
+    """Set folder."""
+    sheet: Annotated[
         Path | None,
-        shared.option("Folder for dataset.png, views.png, colours.png and types.png.", "no images"),
+        shared.option("Image to write (PNG): vehicles from all sides, colours and kinds.", "none"),
     ] = None
     decode: bool = False
     """Check every pixel instead of every header (minutes to hours)."""
@@ -217,11 +205,10 @@ class Stats:
 
     def __call__(self) -> None:
         from recast.core.progress import ProgressBar
-        from recast.recar import set_statistics, statistics_table
-        from recast.recar.figure import FIGURE_FILES, write_figure
-        from recast.recar.shards import open_set
+        from recast.recar import read_set, set_statistics, statistics_table
+        from recast.recar.statistics import write_overview
 
-        vehicle_set = open_set(self.set)
+        vehicle_set = read_set(self.set)
         console = console_for(self.json)
         with ProgressBar("checked", console) as progress:
             vehicle_set.check_pictures(self.decode, progress)
@@ -232,9 +219,9 @@ class Stats:
             print_json(set_rows(statistics))
         else:
             console.print(statistics_table(vehicle_set, statistics))
-        if self.out is not None:
-            write_figure(vehicle_set, statistics, self.out)
-            console.print(f"wrote {', '.join(FIGURE_FILES)} in {self.out}", markup=False)
+        if self.sheet is not None:
+            write_overview(vehicle_set, statistics, self.sheet)
+            console.print(f"wrote {self.sheet}", markup=False)
 
 
 Recar = shared.group(
@@ -245,7 +232,6 @@ Recar = shared.group(
         "stats": Stats,
         "ingest": Ingest,
         "camera": RecarCamera,
-        "pack": Pack,
         "targets": RecarTargets,
         "perturb": Perturb,
         "screen": Screen,

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Literal
@@ -10,8 +9,7 @@ from typing import Annotated, Literal
 import tyro
 
 from recast.cli import shared
-from recast.cli.output import JSON, console_for, line_of, print_json
-from recast.core import diagnostics
+from recast.cli.shared import JSON, console_for, line_of, print_json
 
 
 @dataclass(frozen=True)
@@ -72,7 +70,8 @@ class Ingest:
         from recast.actors.cutout import remover_of
         from recast.core.errors import InputError, printable
         from recast.core.progress import ProgressBar
-        from recast.recar.ingest import EXPERIMENTAL, IngestSettings, ingest_photographs
+        from recast.recar.ingest import ingest_photographs
+        from recast.recar.ingest_table import EXPERIMENTAL, IngestSettings
 
         settings = IngestSettings(
             self.licence,
@@ -130,7 +129,7 @@ class RecarCamera:
     """
 
     set: tyro.conf.Positional[Path]
-    """Vehicle set, in folders or shards."""
+    """Vehicle set."""
     out: Annotated[
         Path | None,
         shared.option("Folder of a new set: the same views, centred, with their camera.", "none"),
@@ -145,12 +144,12 @@ class RecarCamera:
 
         from recast.cli.rows.vehicles import camera_rows
         from recast.core.errors import InputError, printable
-        from recast.recar.shards import open_set
         from recast.recar.turntable import fit_set, medians, write_fitted
+        from recast.recar.vehicle_set import read_set
 
         if self.fov is not None and not 1 <= self.fov <= 170:
             raise InputError("`fov`", "value", f"is {self.fov}", "give 1 to 170")
-        vehicle_set = open_set(self.set)
+        vehicle_set = read_set(self.set)
         console = console_for(self.json)
         fits = fit_set(vehicle_set, self.fov)
         elevation, fov = medians(fits)
@@ -180,35 +179,6 @@ class RecarCamera:
 
 
 @dataclass(frozen=True)
-class Pack:
-    """Pack a set into tar shards (WebDataset) for streaming and random access."""
-
-    set: tyro.conf.Positional[Path]
-    """Set folder."""
-    out: Path
-    """Folder of the shards; the same command resumes, and repairs damaged shards."""
-    shard_bytes: str = "256MB"
-    """Maximum size of a shard, such as 256MB or 1GiB."""
-
-    def __call__(self) -> None:
-        from recast.core.progress import ProgressBar
-        from recast.recar import read_set
-        from recast.recar.shards import pack_set, parse_byte_size
-
-        shard_bytes = parse_byte_size(self.shard_bytes, "--shard-bytes")
-        vehicle_set = read_set(self.set)
-        console = console_for(False)
-        with ProgressBar("pictures", console) as progress:
-            index = pack_set(vehicle_set, self.out, shard_bytes, progress)
-        console.print(
-            f"wrote {self.out}: {index.identities} identities in {len(index.shards)} shards, "
-            f"{index.bytes / 1e6:,.1f} MB",
-            markup=False,
-            soft_wrap=True,
-        )
-
-
-@dataclass(frozen=True)
 class Perturb:
     """Draw all perturbations of Stage II on one image, from weak to strong."""
 
@@ -229,8 +199,8 @@ class Perturb:
             PerturbationConfig,
             read_perturbations,
             write_perturbations,
+            write_sheet,
         )
-        from recast.recar.perturb.compose import write_sheet
         from recast.trellis import read_crop
 
         config = PerturbationConfig() if self.config is None else read_perturbations(self.config)
@@ -245,35 +215,36 @@ class Perturb:
 
 @dataclass(frozen=True)
 class Screen:
-    """Accept, reject or flip pseudo-targets in the browser with single keys.
+    """Write screening.csv and numbered contact sheets of a vehicle set or of its pseudo-targets.
 
-    Each decision is written to CACHE/screening.json at once; the same command resumes.
+    Write no into the column keep of the vehicles that training is to leave out. The same command
+    writes all again and keeps what you wrote.
     """
 
-    cache: tyro.conf.Positional[Path]
-    """Cache of pseudo-targets; it may be unfinished."""
-    set: Annotated[
-        Path | None,
-        shared.option(
-            "Vehicle set of the cache, in folders or shards; its images are shown larger."
-        ),
-    ] = None
-    port: int = 8765
-    """Port of the page, which only this machine can open; 0 takes a free port."""
+    set: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="SET")]
+    """Vehicle set, or cache of pseudo-targets (it may be unfinished)."""
 
     def __call__(self) -> None:
-        from recast.recar.screening.server import ScreeningServer
-        from recast.recar.screening.service import ScreeningService
-        from recast.recar.shards import open_set
-        from recast.recar.targets import TargetCache
+        from recast.core.progress import ProgressBar
+        from recast.recar import read_set
+        from recast.recar.screening import SCREENING_FILE, screened_vehicles, write_screening
+        from recast.recar.target_cache import CACHE_FILE, TargetCache
+        from recast.recar.targets import screened_targets
 
-        cache = TargetCache.open(self.cache, complete=False)
-        service = ScreeningService(cache, None if self.set is None else open_set(self.set))
         console = console_for(False)
-        diagnostics.show_warnings()
-        with ScreeningServer(service, self.port) as server:
-            console.print(f"{len(service.catalogue)} targets: open {server.url}", markup=False)
-            console.print("Ctrl-C ends; every decision is saved when it is made", markup=False)
-            with suppress(KeyboardInterrupt):
-                server.serve_forever()
-        console.print(f"{self.cache}: {service.summary()}", markup=False, highlight=False)
+        if (self.set / CACHE_FILE).is_file():
+            cache = TargetCache.open(self.set, complete=False)
+            known, vehicles = cache.ids(accepted_only=False), screened_targets(cache)
+        else:
+            vehicle_set = read_set(self.set)
+            known, vehicles = tuple(vehicle_set.identities), screened_vehicles(vehicle_set)
+        with ProgressBar("vehicles", console) as progress:
+            made = write_screening(self.set, known, vehicles, progress)
+        console.print(
+            f"wrote {self.set / SCREENING_FILE} and {made.sheets} contact sheets: {made.vehicles} "
+            f"vehicles, {made.doubted} to look at, {made.decided} decided, "
+            f"{made.left_out} left out",
+            markup=False,
+            highlight=False,
+            soft_wrap=True,
+        )

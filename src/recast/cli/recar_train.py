@@ -24,7 +24,7 @@ class RecarTrain:
     targets: Path
     """Cache of pseudo-targets, from `recast recar targets`."""
     set: Path
-    """Vehicle set with the images, in folders or shards; or a folder of training assets."""
+    """Vehicle set with the images, or a folder of training assets."""
     out: Path
     """Folder of the new model; the same command resumes."""
     stage: Annotated[
@@ -55,9 +55,8 @@ class RecarTrain:
     def __call__(self) -> None:
         from rich.console import Console
 
-        from recast.recar.training.stage import train_stage
-        from recast.recar.training.stage_config import chosen_stage
-        from recast.recar.training.stage_parts import StageRequest
+        from recast.recar.training import StageRequest, train_stage
+        from recast.recar.training_config import chosen_stage
         from recast.training.loop import Processes
         from recast.weights import located
 

@@ -9,7 +9,7 @@ from typing import Annotated, Literal
 import tyro
 
 from recast.cli import shared
-from recast.cli.output import JSON, console_for, print_json
+from recast.cli.shared import JSON, console_for, print_json
 from recast.core import diagnostics
 from recast.core.errors import InputError
 
@@ -196,11 +196,5 @@ class ViewCommand:
         else:
             diagnostics.show_warnings()
             serve_what(
-                inputs,
-                self.host,
-                self.port,
-                self.max_gaussians,
-                self.out,
-                console,
-                self.allow_host,
+                inputs, self.host, self.port, self.max_gaussians, self.out, console, self.allow_host
             )

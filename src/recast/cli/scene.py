@@ -9,8 +9,7 @@ from typing import Annotated, Literal
 import tyro
 
 from recast.cli import shared
-from recast.cli.output import JSON, console_for, print_json
-from recast.cli.scene_import import GaussiansFile
+from recast.cli.shared import JSON, console_for, print_json
 
 
 @dataclass(frozen=True)
@@ -39,14 +38,17 @@ class SceneTrain:
 
     def __call__(self) -> None:
         from recast.logs import read_log
-        from recast.runs.scene import train_with_display
-        from recast.scene import read_config, resolve_config
+        from recast.reconstruction import read_config, resolve_config, train_scene
+        from recast.runs.scene import TrainingDisplay
 
         names = ("cameras", "scale", "iterations", "force_dynamic", "seed", "threads")
         written = None if self.config is None else read_config(self.config)
         options = {name: getattr(self, name) for name in names}
         config = resolve_config(self.preset, written, options)
-        train_with_display(read_log(self.log), self.out, config, device=self.device)
+        log, console = read_log(self.log), console_for(False)
+        with TrainingDisplay(console) as display:
+            result = train_scene(log, self.out, config, progress=display, device=self.device)
+        console.print(result.budget.explain(), markup=False)
 
 
 @dataclass(frozen=True)
@@ -119,6 +121,37 @@ class SceneExport:
             at_us = export_scene_at(scene, self.out, self.time, self.format)
             told = f"wrote {self.out}, at {at_us} us"
         console_for(False).print(told, markup=False)
+
+
+@dataclass(frozen=True)
+class GaussiansFile:
+    """Import a file of Gaussians as a static background: 3DGS PLY, glTF, SPZ or OpenUSD text."""
+
+    background: tyro.conf.Positional[Path]
+    """File (.ply, .glb, .spz or .usda)."""
+    log: Path
+    """Log folder of the drive."""
+    out: Path
+    """Scene folder to write; must not exist."""
+    world_from_file: Annotated[
+        Path | None,
+        shared.option(
+            "Text file with a 4x4 matrix (it may scale) or an offset from the file's coordinates "
+            "to the log's world. GLB and SPZ are first turned to x forward, y left, z up.",
+            "the same coordinates",
+        ),
+    ] = None
+    sky: Annotated[
+        Path | None,
+        shared.option(
+            "Equirectangular sky image, as `recast scene export` writes it.", "a black sky"
+        ),
+    ] = None
+
+    def __call__(self) -> None:
+        from recast.scene.imported import import_gaussians
+
+        shared.run_import(import_gaussians, **vars(self))
 
 
 Import = shared.group(

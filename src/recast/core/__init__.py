@@ -2,28 +2,21 @@
 
 from __future__ import annotations
 
+from recast.lazy import getattr_of, names_of
+
 TYPE_CHECKING = False  # typing's own costs 5 ms; type checkers know the name
 if TYPE_CHECKING:
-    from recast.core.artefact import Artefact, file_hash, files_hash, folder_hash, value_hash
-    from recast.core.store import Store, open_store
+    from recast.core.artefact import Artefact as Artefact
+    from recast.core.artefact import file_hash as file_hash
+    from recast.core.artefact import files_hash as files_hash
+    from recast.core.artefact import folder_hash as folder_hash
+    from recast.core.artefact import value_hash as value_hash
+    from recast.core.store import Store as Store
+    from recast.core.store import open_store as open_store
 
-__all__ = [
-    "Artefact",
-    "Store",
-    "file_hash",
-    "files_hash",
-    "folder_hash",
-    "open_store",
-    "value_hash",
-]
-
-
-def __getattr__(name: str) -> object:
-    """A name of `__all__`, imported when it is first used: `recast --help` needs only errors."""
-    if name not in __all__:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    from recast.core import artefact, store
-
-    found: object = getattr(store if name in ("Store", "open_store") else artefact, name)
-    globals()[name] = found
-    return found
+_PLACES = {
+    ".artefact": ("Artefact", "file_hash", "files_hash", "folder_hash", "value_hash"),
+    ".store": ("Store", "open_store"),
+}
+__all__ = names_of(_PLACES)
+__getattr__ = getattr_of(__name__, _PLACES)  # `recast --help` needs only errors

@@ -28,7 +28,7 @@ class InputError(ValueError):
         problem: what is wrong, with the value found.
         mend: what the user can do about it.
         page: page of the documentation that helps, such as "docs/weights.md#names"; None for the
-            page of the part of recast that raises the error (`recast.cli.output.PAGES`).
+            page of the part of recast that raises the error (`recast.cli.shared.PAGES`).
     """
 
     def __init__(

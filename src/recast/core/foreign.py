@@ -1,7 +1,8 @@
-"""Code of users: what it is handed is read-only, what it does to the process is put back."""
+"""Code of users: completed once, handed read-only data, and kept from changing the process."""
 
 from __future__ import annotations
 
+import inspect
 import os
 import random
 import signal
@@ -10,17 +11,19 @@ import sysconfig
 import threading
 import traceback
 import warnings
+from abc import ABC
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import fields, is_dataclass
-from functools import cached_property
+from difflib import get_close_matches
+from functools import cache, cached_property
 from pathlib import Path
 from types import FunctionType
 from typing import Any, NoReturn, TypeVar
 
 import numpy as np
 
-from recast.core.errors import InputError
+from recast.core.errors import InputError, nearest
 
 Value = TypeVar("Value")
 
@@ -30,6 +33,11 @@ _LIBRARIES = (
 )
 """Folders of code that is not a user's."""
 _SIGNALS = (signal.SIGINT, signal.SIGTERM)
+_ABSENT = object()
+_ALIKE = 0.85
+"""Ratio of `difflib` from which two names are taken for a slip: "wanted_veiws" has 0.92."""
+_PLAIN: Mapping[str, tuple[type, ...]] = {"str": (str,), "bool": (bool, np.bool_)}
+"""Types of values that are checked, by annotation."""
 
 
 class ReadOnlyDict(dict[Any, Any]):
@@ -80,6 +88,149 @@ def _kept(value: object) -> dict[str, Any]:
         for name, member in getattr(value, "__dict__", {}).items()
         if not isinstance(getattr(type(value), name, None), cached_property)
     }
+
+
+class BasePart(ABC):  # noqa: B024  # its subclasses have abstract members
+    """Base of the base classes of users' parts: planners, motions, generators and so on.
+
+    A base class has every member that recast asks for. A part must have those that are abstract
+    or annotated without a value; the others are defaults. `copy.deepcopy` makes an independent
+    part in the same state.
+    """
+
+    def __init_subclass__(cls, **options: Any) -> None:
+        super().__init_subclass__(**options)
+        bases = [kind for kind in cls.__mro__[1:] if BasePart in kind.__bases__]
+        if bases:
+            warn_of_slips(cls, bases[0])
+
+
+class Around:
+    """A part that does what another one does, except for what its own class says.
+
+    Derive from it and then from the base class of the part: `class Mine(Around, BasePlanner)`.
+
+    Args:
+        part: the other part, of any class.
+    """
+
+    def __init__(self, part: Any) -> None:
+        self.part = part
+
+    def __init_subclass__(cls, **options: Any) -> None:
+        super().__init_subclass__(**options)
+        if Around in cls.__bases__:
+            base = cls.__bases__[cls.__bases__.index(Around) + 1]
+            for name in _members(base) - vars(cls).keys():
+                setattr(cls, name, _Forwarded(name, inspect.getattr_static(base, name, None)))
+
+
+class _Forwarded:
+    """A member of a base class in a part `Around` another: the other's, or else the default."""
+
+    def __init__(self, name: str, default: Any) -> None:
+        self._name, self._default = name, default
+
+    def __get__(self, around: Around | None, owner: type | None = None) -> Any:
+        if around is None:
+            return self
+        try:
+            return getattr(around.part, self._name)
+        except AttributeError:
+            if inspect.getattr_static(around.part, self._name, self) is not self:
+                raise  # a fault inside of a property
+        bound = inspect.isfunction(self._default) or isinstance(self._default, property)
+        return self._default.__get__(around, owner) if bound else self._default
+
+
+def whole(part: object, base: type[Value]) -> Value:
+    """The part, with every member of its base class.
+
+    A part of another class is completed: what it lacks is the default of the base. A member whose
+    name is nearly that of an optional one is warned about, see `warn_of_slips`.
+
+    Raises:
+        InputError: it is a class, lacks a member that has no default, or has a value where a
+            method belongs, a method where a value belongs, or a value of the wrong type.
+    """
+    if isinstance(part, base):
+        return part
+    kind: Any = part if isinstance(part, type) else type(part)
+    where, see = f"{kind.__module__}.{kind.__qualname__}", f"see {base.__module__}.{base.__name__}"
+    if isinstance(part, type):
+        raise InputError(where, "part", "is a class", f"call {kind.__name__}, give what it returns")
+    for name in lacks(part, base):
+        near = nearest(name, (own for own in dir(kind) if not own.startswith("_")))
+        raise InputError(where, name, "is missing", f"{f'is it {near}? ' if near else ''}{see}")
+    seam: Any = base  # mypy takes the hash of an instance for that of a class
+    for name in sorted(_members(seam)):
+        if fault := _fault(part, base, name):
+            raise InputError(where, name, fault, f"correct it; {see}")
+    completed: Callable[[object], Value] = _completed(kind, seam)
+    return completed(part)
+
+
+def lacks(part: object, base: type) -> tuple[str, ...]:
+    """Names of the members without a default that a part does not have."""
+    names = (name for name in sorted(_members(base)) if not _is_optional(base, name))
+    return tuple(name for name in names if not hasattr(part, name))
+
+
+@cache
+def warn_of_slips(kind: type, base: type) -> None:
+    """Warn once of public members of a class, in one line each, that are likely slips.
+
+    Those are named nearly as an optional member of the base that the class does not have:
+    `choose_camera` for `choose_cameras`.
+    """
+    known = _members(base)
+    own = {name: k for k in kind.__mro__ if k not in base.__mro__ for name in vars(k)}
+    wanted = sorted(name for name in known - own.keys() if _is_optional(base, name))
+    for name in vars(kind).keys() - known if issubclass(kind, base) else own.keys() - known:
+        near = get_close_matches(name, wanted, 1, _ALIKE)
+        if near and not name.startswith("_"):
+            warnings.warn(
+                f"{kind.__module__}.{kind.__qualname__} has {name}, which recast does not ask for; "
+                f"is it {near[0]}?",
+                stacklevel=4,
+            )
+
+
+@cache
+def _members(base: type) -> frozenset[str]:
+    """Names of all that recast asks a part for."""
+    kinds = base.__mro__[: base.__mro__.index(BasePart)]
+    names = {name for kind in kinds for name in (*vars(kind), *inspect.get_annotations(kind))}
+    return frozenset(name for name in names if name == "__call__" or not name.startswith("_"))
+
+
+def _is_optional(base: type, name: str) -> bool:
+    abstract: frozenset[str] = base.__abstractmethods__  # type: ignore[attr-defined]
+    return name not in abstract and hasattr(base, name)
+
+
+def _fault(part: object, base: type, name: str) -> str | None:
+    """What is wrong with the kind of a member; properties are not read."""
+    given = inspect.getattr_static(part, name, _ABSENT)
+    is_method = isinstance(given, FunctionType | staticmethod | classmethod)
+    if given is _ABSENT or (hasattr(given, "__get__") and not is_method):
+        return None
+    if inspect.isfunction(inspect.getattr_static(base, name, None)):
+        return None if is_method or callable(given) else "is not a method"
+    if is_method:
+        return "is a method, not a value"
+    annotations = [inspect.get_annotations(kind).get(name, "") for kind in base.__mro__]
+    kinds = _PLAIN.get(next(filter(None, annotations), ""), (object,))
+    return None if isinstance(given, kinds) else f"is not of the type {kinds[0].__name__}"
+
+
+@cache
+def _completed(kind: type, base: type) -> Any:
+    """The class that completes parts of a class, which looks like that class."""
+    warn_of_slips(kind, base)
+    names = {"__module__": kind.__module__, "__qualname__": kind.__qualname__}
+    again = {"__reduce__": lambda self: (whole, (self.part, base))}
+    return type(kind.__name__, (Around, base), {**names, **again})
 
 
 class ForeignCode:

@@ -14,7 +14,7 @@ except ImportError:
     ) from None
 
 from recast.envs.driving_env import DrivingEnv
-from recast.envs.rewards import ProgressReward, StepFacts
+from recast.envs.rewards import BaseReward, ProgressReward, StepFacts
 
 ENV_ID = "recast/Driving-v0"
 """The id of `DrivingEnv` for `gymnasium.make`."""
@@ -22,4 +22,4 @@ ENV_ID = "recast/Driving-v0"
 if ENV_ID not in gymnasium.registry:
     gymnasium.register(id=ENV_ID, entry_point="recast.envs.driving_env:DrivingEnv")
 
-__all__ = ["ENV_ID", "DrivingEnv", "ProgressReward", "StepFacts"]
+__all__ = ["ENV_ID", "BaseReward", "DrivingEnv", "ProgressReward", "StepFacts"]

@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 
 from recast.arrays import Image
 from recast.core.errors import InputError
-from recast.envs.rewards import NOTHING, ProgressReward, Reward, StepFacts, step_facts
+from recast.core.foreign import whole
+from recast.envs.rewards import NOTHING, BaseReward, ProgressReward, Reward, StepFacts, step_facts
 from recast.envs.spaces import (
     KINDS,
     ActionKind,
@@ -99,7 +100,7 @@ class DrivingEnv(gymnasium.Env[dict[str, Any], NDArray[np.float32]]):
         self._kind, self._controls = action, HeldControls()
         if action == "controls":
             settings["controller"] = self._controls
-        self._reward = reward or ProgressReward()
+        self._reward = whole(reward or ProgressReward(), BaseReward)
         self._terminate = frozenset(terminate)
         self._most_actors, self.render_mode = most_actors, render_mode
         self._simulator = self._make({})
@@ -176,7 +177,7 @@ class DrivingEnv(gymnasium.Env[dict[str, Any], NDArray[np.float32]]):
             route = simulator.context.route
             along = simulator.route_s
             facts = step_facts(simulator.rollout, first, route, along, self._region, route_end)
-        terminated = route_end or any(getattr(facts, name) for name in self._terminate)
+        terminated = route_end or any(facts.to_info()[name] for name in self._terminate)
         truncated = simulator.done and not terminated
         self._over = terminated or truncated
         info = self._info(facts)
@@ -196,9 +197,8 @@ class DrivingEnv(gymnasium.Env[dict[str, Any], NDArray[np.float32]]):
 
     def close(self) -> None:
         """End what the renderer holds."""
-        close = getattr(self._renderer, "close", None)
-        if callable(close):
-            close()
+        if self._renderer is not None:
+            self._renderer.close()
 
     def _make(self, options: Mapping[str, Any]) -> Simulator:
         actors = dict(options.get("actors", self._actors))
@@ -222,12 +222,11 @@ class DrivingEnv(gymnasium.Env[dict[str, Any], NDArray[np.float32]]):
 
     def _info(self, facts: StepFacts) -> dict[str, Any]:
         simulator = self._simulator
-        parts = getattr(self._reward, "parts", None)
         return {
             **facts.to_info(),
             "step": simulator.step_number,
             "timestamp_us": simulator.state.timestamp_us,
-            "reward_parts": dict(parts(facts)) if callable(parts) else {},
+            "reward_parts": dict(self._reward.parts(facts)),
         }
 
     def _last_info(self) -> dict[str, Any]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from abc import abstractmethod
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from typing import Any, Protocol
@@ -10,8 +11,8 @@ import numpy as np
 import shapely
 from numpy.typing import ArrayLike
 
-from recast.metrics.collision import TOUCHING, any_collision, no_collision
-from recast.metrics.route import drivable_area_compliance
+from recast.core.foreign import BasePart
+from recast.metrics.driving import TOUCHING, any_collision, drivable_area_compliance, no_collision
 from recast.planning import ReferenceRoute
 from recast.simulation import Rollout
 
@@ -51,14 +52,29 @@ class StepFacts:
 
 
 class Reward(Protocol):
-    """A number for what happened."""
+    """A number for what happened: a function, or an object that is called.
+
+    That is enough; `BaseReward` has all members, with their defaults.
+    """
 
     def __call__(self, facts: StepFacts) -> float:
         """The reward of one step."""
 
 
+class BaseReward(BasePart):
+    """A `Reward` with all members that are asked for: derive yours from it."""
+
+    @abstractmethod
+    def __call__(self, facts: StepFacts) -> float:
+        """The reward of one step."""
+
+    def parts(self, facts: StepFacts) -> Mapping[str, float]:
+        """The terms of the reward by name, for `info`."""
+        return {}
+
+
 @dataclass(frozen=True)
-class ProgressReward:
+class ProgressReward(BaseReward):
     """Progress along the route, less a penalty in each step with a collision or off the road.
 
     Attributes:

@@ -15,8 +15,16 @@ from recast.core.errors import InputError
 from recast.dynamics import BicycleModel, VehicleParameters
 from recast.dynamics import state as ego
 from recast.geometry import se2
-from recast.planning import WAYPOINTS, ActorState, Plan, PlannerInput, ReferenceRoute
+from recast.planning import (
+    WAYPOINTS,
+    ActorState,
+    Plan,
+    PlannerInput,
+    PlanningContext,
+    ReferenceRoute,
+)
 from recast.planning.types import COMMANDS
+from recast.simulation import BaseController
 
 ActionKind = Literal["waypoints", "controls"]
 KINDS = ("waypoints", "controls")
@@ -62,7 +70,7 @@ def checked_action(action: object, kind: ActionKind) -> Array:
     return values if kind == "waypoints" else np.clip(values, _LOW, _HIGH)
 
 
-class HeldControls:
+class HeldControls(BaseController):
     """An ego controller that holds one acceleration and steering rate, whatever the plan says.
 
     The kinematic bicycle has the actuator lag of the LQR controller's and never drives backwards.
@@ -73,6 +81,10 @@ class HeldControls:
 
     def __init__(self) -> None:
         self.command: Array = np.zeros(2)
+
+    def reset(self, context: PlanningContext) -> None:
+        """Neither accelerate nor steer."""
+        self.command = np.zeros(2)
 
     def execute(
         self, state: Array, waypoints: Array, steps: int, vehicle: VehicleParameters, dt: float

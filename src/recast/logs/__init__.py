@@ -1,7 +1,6 @@
 """Driving logs: the data, the store, importers, and what can be derived from a drive."""
 
-from recast.logs.derive_map import derive_map, ego_path, map_of
-from recast.logs.ground import even_ground
+from recast.logs.derive_map import derive_map, ego_path, even_ground, map_of
 from recast.logs.hdmap import GroundHeight, HdMap, Lane
 from recast.logs.info import LogInfo, TrackInfo, TrackVisibility, log_info
 from recast.logs.load import load_log

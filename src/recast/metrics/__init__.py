@@ -1,6 +1,5 @@
 """Closed-loop metrics of rollouts, and actors against the truth where there is one."""
 
-from recast.metrics.oracle_poses import ViewSettings, logged_views
 from recast.metrics.oracle_scores import (
     Agreement,
     AngleBin,
@@ -8,17 +7,21 @@ from recast.metrics.oracle_scores import (
     OracleViews,
     read_oracle_views,
 )
-from recast.metrics.oracle_views import TrueWorld, evaluate_oracle_views
-from recast.metrics.pairs import (
+from recast.metrics.oracle_views import TrueWorld, ViewSettings, evaluate_oracle_views, logged_views
+from recast.metrics.rollout_metrics import RolloutMetrics, rollout_metrics
+from recast.metrics.table import (
+    COLUMNS,
     Bootstrap,
+    Column,
+    Metric,
     PairedMetric,
     Pairs,
+    TableRow,
     cluster_bootstrap,
     exact_bootstrap,
     matched_pairs,
+    table,
 )
-from recast.metrics.rollout_metrics import RolloutMetrics, rollout_metrics
-from recast.metrics.table import COLUMNS, Column, Metric, TableRow, table
 
 __all__ = [
     "COLUMNS",

@@ -16,9 +16,9 @@ from recast.actors.drawing import draw
 from recast.arrays import Array, Image, Mask
 from recast.cameras import PinholeCamera, box_rectangle
 from recast.core.records import Record, read_record
-from recast.metrics.pairs import Bootstrap, cluster_bootstrap
+from recast.metrics.table import Bootstrap, cluster_bootstrap
+from recast.reconstruction.scores import Rectangle, capped_psnr, ssim_map
 from recast.scene import SceneActor
-from recast.scene.scores import Rectangle, capped_psnr, ssim_map
 
 VERSION: Literal[2] = 2
 """1 called the sides native and replaced."""
@@ -229,7 +229,6 @@ class OracleViews:
 
     Attributes:
         logged: how many logged images show it.
-        views: views in the order they were drawn.
         summary: see `recast.metrics.oracle_scores.EDGES`.
         showcase: index of the view that was kept as whole images: the one furthest from any logged
             view, at the nearest distance.

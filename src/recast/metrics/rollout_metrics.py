@@ -10,30 +10,26 @@ import numpy as np
 from numpy.typing import NDArray
 
 from recast.logs.hdmap import HdMap, drivable_region
-from recast.metrics.collision import (
+from recast.metrics.driving import (
+    TOLERANCE,
     TOUCHING,
     Collision,
+    Comfort,
+    DrivableArea,
+    RouteCompletion,
     TimeToCollision,
     any_collision,
-    constant_velocity_future,
-    least_time,
-    no_collision,
-    realised_future,
-    time_to_collision,
-)
-from recast.metrics.comfort import (
-    Comfort,
     com_4_13,
     com_driven,
     com_hugsim,
     com_nuplan_savgol,
-)
-from recast.metrics.route import (
-    TOLERANCE,
-    DrivableArea,
-    RouteCompletion,
+    constant_velocity_future,
     drivable_area_compliance,
+    least_time,
+    no_collision,
+    realised_future,
     route_completion,
+    time_to_collision,
 )
 from recast.metrics.table import COLUMNS, Metric
 from recast.simulation.rollout import Rollout
@@ -232,7 +228,6 @@ class RolloutActor(NamedTuple):
     """A controlled actor as the metrics see it.
 
     Attributes:
-        name: name of the actor in reasons.
         category: category, see `Track.category`; a rollout does not keep the target's: "vehicle".
         states: (S+1, 4) x, y, heading of the box centre, speed.
         size: (3,) length, width, height, metres.

@@ -34,7 +34,6 @@ from recast.planning.types import (
     PlannerInput,
     PlanningContext,
     ego_status,
-    whole_planner,
 )
 
 __all__ = [
@@ -71,5 +70,4 @@ __all__ = [
     "shipped_folder",
     "shown_views",
     "virtual_mounts",
-    "whole_planner",
 ]

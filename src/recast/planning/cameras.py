@@ -24,7 +24,8 @@ from recast.cameras.mounts import (
     seen_by,
 )
 from recast.core.errors import InputError
-from recast.planning.types import Planner, whole_planner
+from recast.core.foreign import whole
+from recast.planning.types import BasePlanner, Planner
 
 NEEDED = 0.5
 """Share of a picture ahead that the log's cameras must see; nobody can drive by less."""
@@ -59,7 +60,7 @@ def camera_choice(
     """
     if not planner.needs_images:
         return {}
-    names = whole_planner(planner).choose_cameras(mounts)
+    names = whole(planner, BasePlanner).choose_cameras(mounts)
     if names is None:
         names = tuple(mounts if otherwise is None else otherwise)
     choice = dict(names) if isinstance(names, Mapping) else {name: name for name in names}
@@ -88,7 +89,7 @@ def virtual_mounts(
     direction of the view, at the place of the camera that stands for it (see `match_cameras`), or
     of the one that sees most of it. And those cameras of `nuplan_rig` that the planner names.
     """
-    planner = whole_planner(planner)
+    planner = whole(planner, BasePlanner)
     views, rig = planner.wanted_views, nuplan_rig(scale)
     made = {
         name: replace(rig[name], seen=seen_by(rig[name], mounts.values()))
@@ -121,12 +122,12 @@ def looked_at(planner: Planner, mounts: Mapping[str, CameraMount]) -> dict[str, 
     `wanted_views`; where it looks at a camera otherwise, that is left whole.
     """
     windows: dict[str, list[tuple[int, int, int, int]]] = {}
-    views = {view.name: view for view in whole_planner(planner).wanted_views}
+    views = {view.name: view for view in whole(planner, BasePlanner).wanted_views}
     for wanted, name in camera_choice(planner, mounts).items():
         camera = mounts[name].camera
-        whole = 0, 0, camera.width, camera.height
+        full = 0, 0, camera.width, camera.height
         view = views.get(wanted)
-        windows.setdefault(name, []).append(whole if view is None else view.window(mounts[name]))
+        windows.setdefault(name, []).append(full if view is None else view.window(mounts[name]))
     found = dict(mounts)
     for name, edges in windows.items():
         left, top, right, bottom = zip(*edges, strict=True)
@@ -172,7 +173,7 @@ def shown_views(planner: Planner, mounts: Mapping[str, CameraMount]) -> tuple[Sh
         InputError: see `camera_choice`; or the log's cameras see less than half of a picture that
             looks ahead.
     """
-    views = {view.name: view for view in whole_planner(planner).wanted_views}
+    views = {view.name: view for view in whole(planner, BasePlanner).wanted_views}
     real = {name: mount for name, mount in mounts.items() if mount.seen is None}
     shown = []
     for wanted, name in camera_choice(planner, mounts).items():
@@ -205,7 +206,7 @@ def shown_views(planner: Planner, mounts: Mapping[str, CameraMount]) -> tuple[Sh
 def seen_record(planner: Planner, mounts: Mapping[str, CameraMount]) -> dict[str, Any]:
     """JSON-able: the planner's name, where it computes if it says, what it gets to see, and its
     own `record_fields`."""
-    planner = whole_planner(planner)
+    planner = whole(planner, BasePlanner)
     return {
         "planner": planner.name,
         "device": planner.device,
@@ -219,7 +220,7 @@ def seen_lines(planner: Planner, mounts: Mapping[str, CameraMount]) -> tuple[str
 
     ("", None) for a planner that needs no images and says nothing of itself.
     """
-    planner = whole_planner(planner)
+    planner = whole(planner, BasePlanner)
     device, record = planner.device, planner.record_fields
     shown = shown_views(planner, mounts)
     sees = f" sees {'; '.join(map(str, shown))}" if shown else ""

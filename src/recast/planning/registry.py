@@ -9,8 +9,9 @@ from recast import weights
 from recast.core.arguments import checked
 from recast.core.artefact import folder_hash
 from recast.core.errors import InputError
+from recast.core.foreign import whole
 from recast.core.plugins import PLANNERS
-from recast.planning.types import Planner
+from recast.planning.types import BasePlanner, Planner
 
 DEVICE_PATTERN = r"auto|cpu|cuda(:\d{1,3})?"
 """What users may say, as a regular expression."""
@@ -20,8 +21,8 @@ reconstructed image."""
 
 
 @checked()
-def make_planner(planner: str | Path | Planner, device: str = "auto") -> Planner:
-    """Create a planner, or return the one given.
+def make_planner(planner: str | Path | Planner, device: str = "auto") -> BasePlanner:
+    """Create a planner, or return the one given, with all members that it lacks.
 
     Args:
         planner: one of `PLANNERS.names()`; or "package.module:attribute" of a class or function
@@ -41,7 +42,7 @@ def make_planner(planner: str | Path | Planner, device: str = "auto") -> Planner
     options = {}
     if PLANNERS.takes(planner, "device"):
         options["device"] = planner_device(device)
-    return PLANNERS.resolve(planner, **options)
+    return whole(PLANNERS.resolve(planner, **options), BasePlanner)
 
 
 def planner_folder(name: str) -> Path | None:

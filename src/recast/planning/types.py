@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import warnings
+from abc import abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from difflib import get_close_matches
-from functools import cache
 from typing import Protocol, runtime_checkable
 
 import numpy as np
@@ -14,6 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from recast.arrays import Array, Image
 from recast.cameras import CameraMount, View
+from recast.core.foreign import Around, BasePart, whole
 from recast.dynamics import PACIFICA, EgoState, VehicleParameters
 from recast.dynamics import state as ego
 from recast.logs.hdmap import HdMap
@@ -170,29 +169,10 @@ class Planner(Protocol):
         """Plan the next 4 s from what is seen now."""
 
 
-_PLAIN = ("camera_names", "wanted_views", "device", "replays_log", "shared")
-_METHODS = ("record_fields", "choose_cameras", "finish_rollout", "needs_images")
-_ALIKE = 0.85
-"""Ratio of `difflib` from which two names are taken for a slip: "wanted_veiws" has 0.92."""
-
-
-@cache  # a class is looked at once, though each rollout asks several times
-def _warn_of_slips(kind: type) -> None:
-    known = (*_PLAIN, *_METHODS)
-    for name in vars(kind):
-        near = get_close_matches(name, known, 1, _ALIKE) if name not in known else []
-        if near and not name.startswith("_"):
-            warnings.warn(
-                f"{kind.__module__}.{kind.__qualname__} has {name}, which recast does not ask for; "
-                f"is it {near[0]}?",
-                stacklevel=3,
-            )
-
-
-class BasePlanner:
+class BasePlanner(BasePart):
     """A `Planner` with all members that are asked for: derive yours from it to have the defaults.
 
-    A planner of another class may have any of them, too; see `whole_planner`.
+    A planner of another class may have any of them, too; see `recast.core.foreign.whole`.
 
     Attributes:
         camera_names: the only cameras to be rendered for it; None for those that the setup names.
@@ -213,10 +193,6 @@ class BasePlanner:
     replays_log: bool = False
     shared: bool = False
 
-    def __init_subclass__(cls) -> None:
-        super().__init_subclass__()
-        _warn_of_slips(cls)  # type: ignore[arg-type]  # mypy: hash of an instance
-
     @property
     def record_fields(self) -> Mapping[str, str | float]:
         """What else records shall say of it."""
@@ -225,9 +201,9 @@ class BasePlanner:
     def reset(self, context: PlanningContext) -> None:
         """Forget the last rollout and prepare for the next."""
 
+    @abstractmethod
     def plan(self, observation: PlannerInput) -> Plan:
         """Plan the next 4 s from what is seen now."""
-        raise NotImplementedError(f"{type(self).__name__} must have the method plan")
 
     def choose_cameras(
         self, mounts: Mapping[str, CameraMount]
@@ -246,55 +222,19 @@ class BasePlanner:
         """Called by `run_rollout` after each rollout, also after one that failed."""
 
 
-class PlannerAround(BasePlanner):
-    """A planner that does what another one does; members that the other lacks have the defaults.
+class PlannerAround(Around, BasePlanner):
+    """A planner that does what another one does, except for what a derived class says.
 
     Args:
         planner: the other one, of any class.
     """
 
     def __init__(self, planner: Planner) -> None:
-        self.planner = planner
-        self.name, self.needs_images = planner.name, planner.needs_images
-        for name in _PLAIN:
-            setattr(self, name, getattr(planner, name, getattr(BasePlanner, name)))
-
-    @property
-    def record_fields(self) -> Mapping[str, str | float]:
-        """See `BasePlanner`."""
-        found: Mapping[str, str | float] = getattr(self.planner, "record_fields", {})
-        return found
-
-    def reset(self, context: PlanningContext) -> None:
-        """See `Planner`."""
-        self.planner.reset(context)
+        super().__init__(whole(planner, BasePlanner))
 
     def plan(self, observation: PlannerInput) -> Plan:
         """See `Planner`."""
-        return self.planner.plan(observation)
-
-    def choose_cameras(
-        self, mounts: Mapping[str, CameraMount]
-    ) -> Sequence[str] | Mapping[str, str] | None:
-        """See `BasePlanner`."""
-        choose = getattr(self.planner, "choose_cameras", super().choose_cameras)
-        found: Sequence[str] | Mapping[str, str] | None = choose(mounts)
-        return found
-
-    def finish_rollout(self) -> None:
-        """See `BasePlanner`."""
-        getattr(self.planner, "finish_rollout", super().finish_rollout)()
-
-
-def whole_planner(planner: Planner) -> BasePlanner:
-    """The planner if it has all members, else one around it, which has the defaults.
-
-    A member of another class whose name is nearly that of an optional one is warned about.
-    """
-    if isinstance(planner, BasePlanner):
-        return planner
-    _warn_of_slips(type(planner))
-    return PlannerAround(planner)
+        return self.part.plan(observation)
 
 
 def ego_status(command: DrivingCommand, state: ArrayLike) -> NDArray[np.float32]:

@@ -4,25 +4,23 @@ See docs/data.md.
 """
 
 from recast.recar.real_crops import RealVehicle, RealView, holds_real_crops, read_real_crops
-from recast.recar.set_records import (
-    HELD_OUT_SHARE,
-    IdentityRecord,
-    SetRecord,
-    Split,
-    regular_azimuths,
-    split_of,
-)
 from recast.recar.statistics import SetStatistics, set_statistics, statistics_table
 from recast.recar.synthesis import SynthesisSettings, synthesize_set
 from recast.recar.vehicle_set import (
+    HELD_OUT_SHARE,
     Identity,
+    IdentityRecord,
+    SetRecord,
+    Split,
     VehicleSet,
     begin_set,
     finish_set,
     read_set,
+    regular_azimuths,
+    split_of,
     write_identity,
 )
-from recast.recar.views import camera_pose, fitting_distance, pinhole, view_camera
+from recast.recar.views import camera_pose, fitting_distance, pinhole
 
 __all__ = [
     "HELD_OUT_SHARE",
@@ -48,6 +46,5 @@ __all__ = [
     "split_of",
     "statistics_table",
     "synthesize_set",
-    "view_camera",
     "write_identity",
 ]

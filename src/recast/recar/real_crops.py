@@ -27,8 +27,8 @@ from recast.core.files import read_json
 from recast.core.images import decode_image, decode_mask, rgb
 from recast.core.names import member
 from recast.core.records import validation_error
-from recast.recar.ingest.photograph import MOST_PIXELS
-from recast.recar.set_records import Metres, Text
+from recast.recar.ingest_photograph import MOST_PIXELS
+from recast.recar.vehicle_set import Metres, Text
 from recast.recar.views import camera_pose, pinhole
 
 INPUT_VIEWS, RESERVED_VIEWS = "input_views", "reserved_views"
@@ -132,12 +132,9 @@ def _read_vehicle(folder: Path) -> RealVehicle:
     size, inputs = _read_views(folder / INPUT_VIEWS)
     reserved_size, reserved = _read_views(folder / RESERVED_VIEWS)
     if not np.allclose(size, reserved_size, rtol=0.0, atol=_SIZE_WITHIN):
-        raise InputError(
-            folder / RESERVED_VIEWS / CAMERA_FILE,
-            "object_lwh",
-            f"is {_metres(reserved_size)}, but {_metres(size)} in the input views",
-            "give both the same size",
-        )
+        problem = f"is {_metres(reserved_size)}, but {_metres(size)} in the input views"
+        mend = "give both the same size"
+        raise InputError(folder / RESERVED_VIEWS / CAMERA_FILE, "object_lwh", problem, mend)
     return RealVehicle(folder.resolve().name, size, inputs, reserved)
 
 
@@ -156,12 +153,8 @@ def _read_views(folder: Path) -> tuple[Array, tuple[RealView, ...]]:
     for field in ("mask_filenames", "normalized_cam_positions", "cam_dists", "cam_fovs"):
         count = len(getattr(record, field))
         if count != frames:
-            raise InputError(
-                path,
-                field,
-                f"has {count} entries for {frames} in frame_filenames",
-                "give one for every frame",
-            )
+            problem = f"has {count} entries for {frames} in frame_filenames"
+            raise InputError(path, field, problem, "give one for every frame")
     views = tuple(_read_view(path, record, index) for index in range(frames))
     return np.array(record.object_lwh), views
 
@@ -170,12 +163,9 @@ def _read_view(path: Path, record: _CameraRecord, index: int) -> RealView:
     x, y, z = record.normalized_cam_positions[index]
     length = float(np.linalg.norm((x, y, z)))
     if abs(length - 1) > _UNIT_WITHIN:
-        raise InputError(
-            path,
-            f"normalized_cam_positions.{index}",
-            f"has length {length:.4g}",
-            "normalise it, and put its length into cam_dists",
-        )
+        problem = f"has length {length:.4g}"
+        mend = "normalise it, and put its length into cam_dists"
+        raise InputError(path, f"normalized_cam_positions.{index}", problem, mend)
     names = record.frame_filenames[index], record.mask_filenames[index]
     image = member(path.parent, names[0], path, f"frame_filenames.{index}")
     mask = member(path.parent, names[1], path, f"mask_filenames.{index}")

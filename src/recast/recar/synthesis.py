@@ -11,32 +11,36 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
-from recast.arrays import Array
+from recast.arrays import Array, Image
 from recast.cameras import PinholeCamera
 from recast.core.errors import InputError
 from recast.core.files import alone_in
 from recast.core.progress import Progress, tell
 from recast.core.ray_cluster import worker_pool
 from recast.geometry import se3
-from recast.recar.set_records import (
+from recast.recar.vehicle_set import (
     HELD_OUT_SHARE,
-    LARGEST_SIDE,
     MOST_VIEWS,
     IdentityRecord,
     SetRecord,
     Split,
-    regular_azimuths,
-    split_of,
-)
-from recast.recar.vehicle_set import (
     VehicleSet,
     begin_set,
     check_begin,
     finish_set,
     read_set,
+    regular_azimuths,
+    split_of,
     write_identity,
 )
-from recast.recar.views import ELEVATION_DEG, FOV_DEG, Image, camera_pose, fitting_distance, pinhole
+from recast.recar.views import (
+    ELEVATION_DEG,
+    FOV_DEG,
+    LARGEST_SIDE,
+    camera_pose,
+    fitting_distance,
+    pinhole,
+)
 
 if TYPE_CHECKING:  # readers of sets need no ray tracer
     from recast.synthetic.world import Sky, VehicleModel

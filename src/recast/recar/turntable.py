@@ -22,8 +22,8 @@ from scipy.spatial import HalfspaceIntersection
 
 from recast.arrays import Array, Image
 from recast.core.errors import InputError
-from recast.recar.vehicle_set import begin_set, finish_set, write_identity
-from recast.recar.views import IdentitySource, VehicleSource, camera_pose, pinhole
+from recast.recar.vehicle_set import Identity, VehicleSet, begin_set, finish_set, write_identity
+from recast.recar.views import camera_pose, pinhole
 
 LEAST_VIEWS = 8
 MOST_RESIDUAL = 0.005
@@ -93,12 +93,9 @@ def fit_turntable(
     hulls = [_outline(alpha) for alpha in alphas]
     inside = [view for view, hull in enumerate(hulls) if hull is not None]
     if len(inside) < LEAST_VIEWS:
-        raise InputError(
-            where,
-            "views",
-            f"only {len(inside)} of {len(alphas)} show the whole vehicle",
-            f"give at least {LEAST_VIEWS} views in which it does not touch the image's edge",
-        )
+        problem = f"only {len(inside)} of {len(alphas)} show the whole vehicle"
+        mend = f"give at least {LEAST_VIEWS} views in which it does not touch the image's edge"
+        raise InputError(where, "views", problem, mend)
     most = max(len(hull) for hull in hulls if hull is not None)
     outlines = np.stack([np.resize(hull, (most, 2)) for hull in hulls if hull is not None])
     azimuths = np.asarray(azimuths_deg, float)
@@ -117,12 +114,9 @@ def fit_turntable(
     low, high = ring.bounds(*solution, where)
     length, across = (high - low)[:2]
     if across > MOST_ACROSS * length:
-        raise InputError(
-            where,
-            "outlines",
-            f"are of a vehicle that is {across / length:.1f} times as wide as long",
-            "check that the first view shows the front, and that the masks differ",
-        )
+        problem = f"are of a vehicle that is {across / length:.1f} times as wide as long"
+        mend = "check that the first view shows the front, and that the masks differ"
+        raise InputError(where, "outlines", problem, mend)
     centre = (low + high) / 2
     focal, pitch, yaw = solution
     fov = float(np.degrees(2 * np.arctan(width / 2 / focal)))
@@ -134,12 +128,9 @@ def fit_turntable(
     if elevation < 0:  # hardly: a spin that is read backwards looks as if from below
         other = _Ring(outlines, -ring.azimuths, width, height)
         if other.miss(*other.solve(fov_deg)) < residual:
-            raise InputError(
-                where,
-                "views",
-                f"fit the other way around better than a camera at {elevation:.1f} degrees",
-                "if the photographs go around clockwise, ingest them with --clockwise",
-            )
+            problem = f"fit the other way around better than a camera at {elevation:.1f} degrees"
+            mend = "if the photographs go around clockwise, ingest them with --clockwise"
+            raise InputError(where, "views", problem, mend)
     pose = _pose(0.0, pitch, yaw)
     pose[:3, 3] = (pose[:3, 3] - centre) / length
     return TurntableFit(
@@ -155,7 +146,7 @@ def fit_turntable(
 
 
 def fit_set(
-    vehicle_set: VehicleSource, fov_deg: float | None = None
+    vehicle_set: VehicleSet, fov_deg: float | None = None
 ) -> dict[str, TurntableFit | InputError]:
     """The camera of each vehicle of a set, or why it has none."""
     fits: dict[str, TurntableFit | InputError] = {}
@@ -183,7 +174,7 @@ def medians(fits: Mapping[str, TurntableFit | InputError]) -> tuple[float, float
 
 
 def write_fitted(
-    vehicle_set: VehicleSource, fits: Mapping[str, TurntableFit | InputError], out: Path
+    vehicle_set: VehicleSet, fits: Mapping[str, TurntableFit | InputError], out: Path
 ) -> None:
     """Write a set with its camera: the same views, shifted so that they look at the box centre.
 
@@ -221,19 +212,15 @@ def _check_alike(
             raise fit
         value = getattr(fit, field)
         if abs(value - median) > most:
-            raise InputError(
-                name,
-                field,
-                f"is {value:.1f}, but the median of the set is {median:.1f}",
-                "make a set for each camera",
-            )
+            problem = f"is {value:.1f}, but the median of the set is {median:.1f}"
+            raise InputError(name, field, problem, "make a set for each camera")
 
 
-def _alpha(identity: IdentitySource, view: int) -> Image:
+def _alpha(identity: Identity, view: int) -> Image:
     return np.ascontiguousarray(identity.view(view)[..., 3])
 
 
-def _shifted(identity: IdentitySource, view: int, centre: Array) -> Image:
+def _shifted(identity: Identity, view: int, centre: Array) -> Image:
     """A view shifted by whole pixels so that `centre` is in its middle."""
     picture = identity.view(view)
     height, width = picture.shape[:2]
@@ -243,12 +230,9 @@ def _shifted(identity: IdentitySource, view: int, centre: Array) -> Image:
         rows, columns = slice(max(y, 0), height + min(y, 0)), slice(max(x, 0), width + min(x, 0))
         moved[rows, columns] = np.roll(picture, (y, x), axis=(0, 1))[rows, columns]
     if (moved[..., 3] > 127).sum() < (picture[..., 3] > 127).sum():
-        raise InputError(
-            identity.where(view),
-            "view",
-            f"is cut by the shift of {x}, {y} pixels to the box centre",
-            "ingest the photographs with a margin around the vehicle",
-        )
+        problem = f"is cut by the shift of {x}, {y} pixels to the box centre"
+        mend = "ingest the photographs with a margin around the vehicle"
+        raise InputError(identity.where(view), "view", problem, mend)
     return moved
 
 

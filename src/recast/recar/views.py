@@ -9,7 +9,7 @@ the image; at azimuth 90 it looks at the left side, and the front points to the 
 from __future__ import annotations
 
 import struct
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
@@ -22,44 +22,24 @@ from recast.cameras import PinholeCamera
 from recast.core.errors import InputError
 from recast.core.files import atomic_file, read_bytes
 from recast.core.images import opened, rgba
-from recast.core.progress import Progress, tell
 from recast.geometry import boxes, se3
 from recast.logs.images import encode
-from recast.recar.set_records import LARGEST_SIDE, IdentityRecord, SetRecord, Split
 
 ELEVATION_DEG = 15.0
 FOV_DEG = 40.0
 MARGIN = 0.04
 """Share of the image that stays free at each edge, at the azimuth where the vehicle is widest."""
 
+LARGEST_SIDE = 8192
+"""Longest side of a picture of a set, pixels: decoded, it takes 268 MB at most."""
 HEADER_BYTES = 26
 MOST_BYTES = 5 * LARGEST_SIDE**2
 """Most bytes of an encoded view: the largest one of noise, which does not pack, and some text."""
 
 _SIGNATURE = b"\x89PNG\r\n\x1a\n"
+_PANEL = (245, 246, 248)  # behind the vehicles of contact sheets
 _RGBA = 6  # PNG colour type of truecolour with alpha
 _MEND = "replace the image, or remove its identity from the set"
-
-
-def view_camera(
-    vehicle_set: SetRecord, identity: IdentityRecord, index: int
-) -> tuple[PinholeCamera, Array]:
-    """The camera of a view, and `actor_from_camera` (4, 4).
-
-    Raises:
-        IndexError: no such view.
-        ValueError: elevation, angle of view or distance was not measured.
-    """
-    if not 0 <= index < vehicle_set.views:
-        raise IndexError(f"view {index}: {identity.id} has views 0 to {vehicle_set.views - 1}")
-    elevation, fov, distance = vehicle_set.elevation_deg, vehicle_set.fov_deg, identity.distance_m
-    if elevation is None or fov is None or distance is None:
-        raise ValueError(
-            f"{identity.id}: no camera without elevation ({elevation}), fov ({fov}) and distance "
-            f"({distance})"
-        )
-    camera = pinhole(vehicle_set.width, vehicle_set.height, fov)
-    return camera, camera_pose(vehicle_set.azimuths_deg[index], elevation, distance)
 
 
 def pinhole(width: int, height: int, fov_deg: float) -> PinholeCamera:
@@ -123,6 +103,22 @@ def write_words(
     cv2.putText(picture, words, place, cv2.FONT_HERSHEY_SIMPLEX, size, colour, 1, cv2.LINE_AA)
 
 
+def shrunk(rgba: Image, width: int, height: int) -> NDArray[np.float32]:
+    """Shrunk to fit `width` x `height`: colour times alpha, and alpha, in [0, 1]."""
+    alpha = rgba[..., 3:].astype(np.float32) / 255
+    light = np.concatenate([rgba[..., :3] * (alpha / 255), alpha], axis=-1)
+    scale = min(width / rgba.shape[1], height / rgba.shape[0])
+    size = (max(round(rgba.shape[1] * scale), 1), max(round(rgba.shape[0] * scale), 1))
+    return np.asarray(cv2.resize(light, size, interpolation=cv2.INTER_AREA), np.float32)
+
+
+def over_panel(cell: NDArray[np.float32]) -> Image:
+    """What `shrunk` gave before a light panel, with a thin white line to the cells beside it."""
+    over = 255 * cell[..., :3] + np.array(_PANEL, np.float32) * (1 - cell[..., 3:])
+    over[:1], over[:, :1] = 255, 255
+    return np.clip(np.round(over), 0, 255).astype(np.uint8)
+
+
 def check_header(head: bytes, where: str | Path, width: int, height: int) -> None:
     """Look at size and channels of a view by its first `HEADER_BYTES`; `where` is for messages.
 
@@ -138,12 +134,8 @@ def check_header(head: bytes, where: str | Path, width: int, height: int) -> Non
             where, "size", f"is {found_width}x{found_height}, expected {width}x{height}", _MEND
         )
     if colour_type != _RGBA or depth != 8:
-        raise InputError(
-            where,
-            "alpha",
-            f"is absent (PNG colour type {colour_type}, {depth} bits)",
-            "write 8-bit RGBA with the background removed",
-        )
+        problem = f"is absent (PNG colour type {colour_type}, {depth} bits)"
+        raise InputError(where, "alpha", problem, "write 8-bit RGBA with the background removed")
 
 
 def read_picture(path: Path, width: int, height: int) -> Image:
@@ -178,102 +170,3 @@ def write_arrays(path: Path, **arrays: NDArray[Any]) -> None:
     """
     with atomic_file(path) as partial, partial.open("wb") as stream:
         np.savez_compressed(stream, allow_pickle=False, **arrays)
-
-
-class IdentitySource:
-    """One vehicle; its pictures are decoded when asked for.
-
-    Attributes:
-        record: record of what is known about it.
-        set_record: record of what it shares with all of the set.
-    """
-
-    record: IdentityRecord
-    set_record: SetRecord
-
-    def encoded(self, index: int) -> bytes:
-        """The PNG of a view, not looked at."""
-        raise NotImplementedError
-
-    def where(self, index: int) -> str | Path:
-        """Where a view lies, for messages."""
-        raise NotImplementedError
-
-    def picture_bytes(self) -> int:
-        """Bytes of all its pictures."""
-        raise NotImplementedError
-
-    def view(self, index: int) -> Image:
-        """(height, width, 4) uint8 RGBA with straight alpha.
-
-        Raises:
-            InputError: the picture is missing or broken, of another size, or has no alpha.
-        """
-        record = self.set_record
-        return decode_picture(self.encoded(index), self.where(index), record.width, record.height)
-
-    def check_header(self, index: int) -> None:
-        """Look at size and channels of a view without decoding it.
-
-        Raises:
-            InputError: missing, no PNG, of another size, or without alpha.
-        """
-        record = self.set_record
-        check_header(self.head(index), self.where(index), record.width, record.height)
-
-    def head(self, index: int) -> bytes:
-        """The first `HEADER_BYTES` of a view, or more."""
-        return self.encoded(index)
-
-    def camera(self, index: int) -> tuple[PinholeCamera, Array]:
-        """The camera of a view and `actor_from_camera` (4, 4); see `view_camera`."""
-        return view_camera(self.set_record, self.record, index)
-
-
-class VehicleSource:
-    """A set, in folders or in shards.
-
-    Attributes:
-        folder: folder of the set.
-        record: contents of set.json.
-        identities: identities by id, sorted.
-    """
-
-    folder: Path
-    record: SetRecord
-    identities: Mapping[str, IdentitySource]
-
-    def of_split(self, split: Split) -> Iterator[IdentitySource]:
-        """The identities of one split, sorted."""
-        raise NotImplementedError
-
-    def records(self) -> Iterator[tuple[IdentityRecord, int]]:
-        """Record and bytes of the pictures of every identity, in the order in which they lie.
-
-        Nothing is kept, so that statistics of a large set take little memory.
-        """
-        raise NotImplementedError
-
-    def in_order(self) -> Iterable[IdentitySource]:
-        """The identities in the order in which they lie."""
-        return self.identities.values()
-
-    def check_pictures(self, decode: bool = False, progress: Progress | None = None) -> None:
-        """Look at every picture: its header, or all of it; in shards, at all hashes too.
-
-        Args:
-            decode: also find pictures cut short and alpha that is zero everywhere; slow.
-            progress: called with pictures done and all pictures.
-
-        Raises:
-            InputError: the first picture that is wrong.
-        """
-        views, done = self.record.views, 0
-        for identity in self.in_order():
-            for index in range(views):
-                if decode:
-                    identity.view(index)
-                else:
-                    identity.check_header(index)
-                done += 1
-                tell(progress, done, views * len(self.identities))

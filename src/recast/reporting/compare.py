@@ -10,12 +10,10 @@ from typing import Any
 
 from recast.logs.hdmap import HdMap
 from recast.metrics import COLUMNS, RolloutMetrics, TableRow, table
-from recast.metrics.pairs import script_difference
-from recast.reporting.birdseye import Birdseye
+from recast.metrics.table import script_difference
+from recast.reporting.birdseye import Birdseye, MapLayer
 from recast.reporting.inputs import NOT_MADE, NotMade, ReportInputs, RolloutPart, ScenarioPart
-from recast.reporting.marks import MapLayer
-from recast.reporting.moment_strip import Strip, moment_strip
-from recast.reporting.moments import PATHS_APART, paths_part
+from recast.reporting.moments import PATHS_APART, Strip, moment_strip, paths_part
 from recast.reporting.page import PageAssets, render_template, write_page
 from recast.reporting.summary import RolloutOutcome, outcome
 from recast.reporting.tables import Line, TableCell, aggregate_line, difference_line, digits
@@ -34,7 +32,6 @@ class ComparedRun:
     Attributes:
         log: name of its log.
         log_hash: hash of the log's contents.
-        scenarios: scenarios by motion, setting and planner.
         settings: JSON-able members, nested as deep as one likes; those that differ are shown.
     """
 
@@ -54,23 +51,11 @@ def letter(number: int) -> str:
     return chr(ord("A") + number) if number < 26 else str(number + 1)
 
 
-@dataclass(frozen=True)
-class RunMoments:
-    """The moments of one scenario in one run."""
-
-    run: str
-    title: str
-    strip: Strip
-
-
 def write_comparison(runs: Sequence[ComparedRun], out: str | Path) -> Path:
     """Write a page that compares runs, the others with the first; return its `index.html`.
 
     The folder appears whole and asks for nothing from the network. The same runs give the same
     bytes.
-
-    Args:
-        runs: runs to compare, at least two.
 
     Raises:
         InputError: `out` holds something that is no report, or the disk is full.
@@ -93,7 +78,7 @@ def _render(runs: Sequence[ComparedRun], assets: PageAssets) -> str:
         metrics=metric_lines(runs),
         outcomes=outcome_rows(runs),
         moments=[
-            RunMoments(letter(number), part.title, _strip(run, arms, letter(number), part, assets))
+            (letter(number), part.title, _strip(run, arms, letter(number), part, assets))
             for number, run in enumerate(runs)
             for part in run.scenarios.values()
         ],

@@ -194,7 +194,6 @@ class ImageScore:
         region: what was compared, for example "whole image" or "inside moving cars' boxes".
         psnr: PSNR, dB.
         ssim: SSIM, -1..1, or None.
-        frames: number of images.
     """
 
     region: str
@@ -233,13 +232,7 @@ class ScenePart:
 
 @dataclass(frozen=True)
 class ProvenancePart:
-    """What is needed to make the run again.
-
-    Attributes:
-        versions: versions of programs and libraries, by name.
-        seeds: seeds by step.
-        hashes: hashes of contents, by name.
-    """
+    """What is needed to make the run again."""
 
     versions: Mapping[str, str] = field(default_factory=dict)
     seeds: Mapping[str, int] = field(default_factory=dict)
@@ -255,7 +248,6 @@ class ReportInputs:
         truth_arm: the one of `arms` that shows what is really there, or None.
         showcase: the first screen; without one the page begins with the overview.
         truth: views beyond the log against the truth; left out of the page where nothing is given.
-        facts: facts of the run: cameras, image size, planner, length.
         actor, scenarios, scene, hd_map, config, provenance: see their types.
         timings: step to seconds.
         warnings: what the reader has to know before trusting the page.

@@ -22,8 +22,8 @@ from recast.core.errors import InputError
 from recast.core.files import atomic_folder, disk_errors, write_text
 from recast.core.images import decode_image, eight_bits, opened
 from recast.reporting import palette, tables
-from recast.reporting.checks import coverage_note
 from recast.reporting.inputs import NotMade, Picture
+from recast.reporting.summary import coverage_note
 from recast.reporting.video import iterate_video, side_by_side, write_video
 
 _QUALITY = 92  # of JPEG; with full colour resolution, about 40 dB on rendered images

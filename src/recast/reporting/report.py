@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping
 from concurrent.futures import Executor, Future, ThreadPoolExecutor
-from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -13,15 +12,7 @@ from typing import Any
 from recast.core.workers import usable_cores
 from recast.logs.hdmap import HdMap
 from recast.reporting import palette, plots, summary, tables
-from recast.reporting.birdseye import Birdseye, BirdseyeStyle
-from recast.reporting.checks import (
-    checks,
-    coverage_lines,
-    coverage_note,
-    glance,
-    looked_at,
-    trust_note,
-)
+from recast.reporting.birdseye import Birdseye, BirdseyeStyle, MapLayer
 from recast.reporting.inputs import (
     NOT_MADE,
     ActorPart,
@@ -34,73 +25,32 @@ from recast.reporting.inputs import (
     ShowcasePart,
     TruthPart,
 )
-from recast.reporting.marks import MapLayer
-from recast.reporting.moment_strip import Strip, camera_towards, filmed_cameras, moment_strip
+from recast.reporting.moments import camera_towards, filmed_cameras, moment_strip
 from recast.reporting.page import Media, PageAssets, render_template, write_page
+from recast.reporting.summary import (
+    checks,
+    coverage_lines,
+    coverage_note,
+    glance,
+    looked_at,
+    trust_note,
+)
 from recast.reporting.truth import truth_view
 from recast.simulation.rollout import Rollout
 
 
-@dataclass(frozen=True)
-class DrawnRollout:
-    """What there is to see of a rollout that came about."""
-
-    films: Mapping[str, Media | NotMade] | NotMade
-    birdseye: Media | NotMade
-    still: Media | NotMade
-    events: tuple[summary.RolloutEvent, ...]
-
-
-@dataclass(frozen=True)
-class MethodColumn:
-    """One arm's part of a player; `arm` is the index of its colour."""
-
-    title: str
-    arm: int
-    drawn: DrawnRollout | NotMade
-
-
-@dataclass(frozen=True)
-class ScenarioView:
-    """One scenario, ready for the page.
-
-    Attributes:
-        cameras: all cameras that some arm has a film of.
-        joined: camera, and the film with all arms side by side; None if fewer than two have one.
-        lines: lines of the metric table, one for each arm.
-        legend: colour and meaning of the curves in `plots`, and of their areas.
-        seconds: length of the longest rollout.
-        dt: seconds between states.
-        notes: sentences on how the arms compare: who drove alike, and how far from the truth;
-            on what was shown of the actor; and how far to trust each verdict.
-    """
-
-    part: ScenarioPart
-    anchor: str
-    columns: tuple[MethodColumn, ...]
-    cameras: tuple[str, ...]
-    joined: tuple[str, Media | NotMade] | None
-    strip: Strip
-    lines: tuple[tables.Line, ...]
-    plots: tuple[plots.Plot, ...]
-    legend: tuple[tuple[str, str], ...]
-    seconds: float
-    dt: float
-    notes: tuple[str, ...]
-
-
-def scenario_view(
+def _scenario(
     run: ReportInputs,
     layer: MapLayer,
     pool: Executor,
     part: ScenarioPart,
     anchor: str,
     assets: PageAssets,
-) -> ScenarioView:
-    """Write a scenario's films and pictures and gather what the page says about it.
+) -> dict[str, Any]:
+    """Write a scenario's videos and images and gather what scenario.html says about it.
 
     Args:
-        pool: pool of threads that encode its films meanwhile.
+        pool: pool of threads that encode its videos meanwhile.
     """
     order = {arm: i for i, arm in enumerate(run.arms)}
     parts = sorted(part.rollouts, key=lambda rollout: order[rollout.arm])
@@ -108,6 +58,7 @@ def scenario_view(
     driven = {
         p.arm: Birdseye(p.rollout, layer, log_path) for p in parts if isinstance(p.rollout, Rollout)
     }
+    # Videos are encoded meanwhile: `birdseye` and `joined` are asked for last.
     drawing = {p.arm: _draw(p, driven[p.arm], assets, pool) for p in parts if p.arm in driven}
     curves = [
         plots.Curves(
@@ -120,50 +71,50 @@ def scenario_view(
         if p.arm in driven
     ]
     cameras = filmed_cameras(parts)
-    joined = _joined(run, {arm: one.films for arm, one in drawing.items()}, cameras, assets, pool)
+    joined = _joined(
+        run, {arm: one["films"] for arm, one in drawing.items()}, cameras, assets, pool
+    )
     covered = [p for p in parts if p.coverage is not None and p.arm in driven]
     end = max((float(one.curves.time[-1]) for one in driven.values()), default=0.0)
     strip = moment_strip(run, part.title, parts, driven, assets)
     times = [column.moment.time for column in strip.columns]
-    columns = tuple(
-        MethodColumn(
-            run.arms[p.arm],
-            order[p.arm],
-            drawing[p.arm].drawn() if p.arm in drawing else NotMade(summary.why_missing(p.rollout)),
-        )
+    columns = [
+        {
+            "title": run.arms[p.arm],
+            "arm": order[p.arm],
+            "drawn": {**drawing[p.arm], "birdseye": drawing[p.arm]["birdseye"].result()}
+            if p.arm in drawing
+            else NotMade(summary.why_missing(p.rollout)),
+        }
         for p in parts
-    )
-    return ScenarioView(
-        part=part,
-        anchor=anchor,
-        columns=columns,
-        cameras=cameras,
-        joined=None if joined is None else (joined[0], joined[1].result()),
-        strip=strip,
-        lines=tuple(_line(run, p, order[p.arm]) for p in parts),
-        plots=(
+    ]
+    compared = (summary.driving_note(part, run.arms), summary.truth_gaps(run, part))
+    return {
+        "part": part,
+        "anchor": anchor,
+        "columns": columns,
+        "cameras": cameras,
+        "joined": None if joined is None else (joined[0], joined[1].result()),
+        "strip": strip,
+        "lines": [_line(run, p, order[p.arm]) for p in parts],
+        "plots": [
             *(plots.rollout_plots(curves, times) if curves else ()),
             *(_coverage_plot(run, p, end) for p in covered),
-        ),
-        legend=(
+        ],
+        "legend": [
             *((palette.css(curve.colour), f"ego, {curve.label}") for curve in curves),
             (palette.css(palette.ACTOR), "actor"),
             ("currentColor", "ego as recorded (dotted)"),
             *((palette.css(colour), name) for name, colour in palette.SHARES.items() if covered),
-        ),
-        seconds=end,
-        dt=next((one.rollout.dt for one in driven.values()), 0.1),
-        notes=tuple(
-            note
-            for note in (
-                summary.driving_note(part, run.arms),
-                summary.truth_gaps(run, part),
-            )
-            if note is not None
-        )
-        + tuple(coverage_note(line) for line in coverage_lines([part], run.arms))
-        + tuple(trust_note(p, run.arms) for p in parts if p.trust is not None),
-    )
+        ],
+        "seconds": end,
+        "dt": next((one.rollout.dt for one in driven.values()), 0.1),
+        "notes": [
+            *(note for note in compared if note is not None),
+            *(coverage_note(line) for line in coverage_lines([part], run.arms)),
+            *(trust_note(p, run.arms) for p in parts if p.trust is not None),
+        ],
+    }
 
 
 def _coverage_plot(run: ReportInputs, part: RolloutPart, end: float) -> plots.Plot:
@@ -171,30 +122,18 @@ def _coverage_plot(run: ReportInputs, part: RolloutPart, end: float) -> plots.Pl
     return plots.coverage_plot(run.arms[part.arm], looked_at(part.coverage), part.rollout.dt, end)
 
 
-@dataclass(frozen=True)
-class _Drawing:
-    """A `DrawnRollout` whose film is being encoded."""
-
-    films: Mapping[str, Media | NotMade] | NotMade
-    birdseye: Future[Media]
-    still: Media | NotMade
-    events: tuple[summary.RolloutEvent, ...]
-
-    def drawn(self) -> DrawnRollout:
-        return DrawnRollout(self.films, self.birdseye.result(), self.still, self.events)
-
-
-def _draw(part: RolloutPart, drawn: Birdseye, assets: PageAssets, pool: Executor) -> _Drawing:
+def _draw(part: RolloutPart, drawn: Birdseye, assets: PageAssets, pool: Executor) -> dict[str, Any]:
+    """What there is to see of a rollout that came about; `birdseye` is still being encoded."""
     films, style, rollout = part.films, BirdseyeStyle(), drawn.rollout
     frames = (drawn.frame(step, style) for step in range(rollout.steps_run + 1))
-    return _Drawing(
-        films=films
+    return {
+        "films": films
         if isinstance(films, NotMade)
         else {camera: assets.film(f"{part.arm}-{camera}", film) for camera, film in films.items()},
-        birdseye=assets.draw_film(f"{part.arm}-birdseye", frames, 1.0 / rollout.dt, pool),
-        still=assets.picture(f"{part.arm}-birdseye", drawn.still(style)),
-        events=summary.rollout_events(part, drawn.curves),
-    )
+        "birdseye": assets.draw_film(f"{part.arm}-birdseye", frames, 1.0 / rollout.dt, pool),
+        "still": assets.picture(f"{part.arm}-birdseye", drawn.still(style)),
+        "events": summary.rollout_events(part, drawn.curves),
+    }
 
 
 def _line(run: ReportInputs, part: RolloutPart, arm: int) -> tables.Line:
@@ -246,7 +185,7 @@ def write_report(run: ReportInputs, out: str | Path) -> Path:
 
 
 def _render(run: ReportInputs, assets: PageAssets) -> str:
-    scenarios: tuple[ScenarioView, ...] | NotMade
+    scenarios: list[dict[str, Any]] | NotMade
     if isinstance(run.scenarios, NotMade):
         scenarios = run.scenarios
         aggregate: tuple[tables.Line, ...] = ()
@@ -256,8 +195,8 @@ def _render(run: ReportInputs, assets: PageAssets) -> str:
         anchors = [f"scenario-{number}" for number in range(1, len(scopes) + 1)]
         cores = usable_cores()  # films are encoded without Python's lock
         with ThreadPoolExecutor(cores) as encoders, ThreadPoolExecutor(cores) as pool:
-            view = partial(scenario_view, run, layer, encoders)
-            scenarios = tuple(pool.map(view, run.scenarios, anchors, scopes))
+            view = partial(_scenario, run, layer, encoders)
+            scenarios = list(pool.map(view, run.scenarios, anchors, scopes))
         aggregate = tables.aggregate_lines(run.scenarios, run.arms, run.truth_arm)
     made = checks(run)
     return render_template(

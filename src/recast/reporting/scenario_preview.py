@@ -12,10 +12,10 @@ from rich.table import Table
 from recast.arrays import Array, Image
 from recast.dynamics import state as ego
 from recast.geometry import boxes
-from recast.metrics.collision import TOUCHING
+from recast.metrics.driving import TOUCHING
 from recast.reporting import palette
+from recast.reporting.birdseye import MapLayer, draw_car, draw_scale_bar, fitted_view
 from recast.reporting.canvas import Canvas, CanvasView, dashed
-from recast.reporting.marks import MapLayer, draw_car, draw_scale_bar, fitted_view
 from recast.reporting.plots import first_true
 from recast.simulation import PreparedRollout, RolloutSetup, ego_centre
 from recast.simulation.scenario_names import scenario_name
@@ -188,10 +188,8 @@ def _panel(setup: RolloutSetup, prepared: PreparedRollout, facts: ScenarioFacts)
 def _header(setup: RolloutSetup, prepared: PreparedRollout, facts: ScenarioFacts) -> Image:
     canvas = Canvas(CanvasView(np.zeros(2), 0.0, 1.0, _WIDTH, _HEADER), palette.GRID)
     length, width = setup.track.size[:2]
-    described = getattr(setup.motion, "description", "")
-    canvas.text(
-        (16, 10), f"{facts.name}: {described}" if described else facts.name, palette.TEXT, 24
-    )
+    title = f"{facts.name}: {setup.description}" if setup.description else facts.name
+    canvas.text((16, 10), title, palette.TEXT, 24)
     speeds = " to ".join(dict.fromkeys(f"{speed:.1f}" for speed in facts.actor_speeds))
     x = 16.0
     for text, colour in (

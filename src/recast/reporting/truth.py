@@ -11,9 +11,9 @@ import numpy as np
 from recast.metrics import Agreement, AngleBin, OracleView, OracleViews, read_oracle_views
 from recast.reporting import palette
 from recast.reporting.actor_sheet import SIDES
-from recast.reporting.figure import Figure, Plot
 from recast.reporting.inputs import NotMade, ShowcasePart, TruthPart
 from recast.reporting.page import Media, PageAssets
+from recast.reporting.plots import Figure, Plot
 from recast.reporting.tables import TableCell, Tone
 
 _LIMIT = 60.0  # degrees beyond which a view is one that the log never had
@@ -90,12 +90,7 @@ class TruthView:
 
 
 def truth_parts(
-    folder: str | Path,
-    arms: Mapping[str, str],
-    *,
-    baseline: str | None,
-    candidate: str,
-    truth: str,
+    folder: str | Path, arms: Mapping[str, str], *, baseline: str | None, candidate: str, truth: str
 ) -> tuple[ShowcasePart, TruthPart]:
     """First screen and section from the folder that `evaluate_oracle_views` wrote.
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -16,10 +15,11 @@ from recast.core import Artefact, Store
 from recast.core.artefact import value_hash
 from recast.core.progress import ProgressBar
 from recast.planning import Planner, looked_at, make_planner
+from recast.reconstruction import SceneConfig
+from recast.reconstruction.views import modelled_tracks
 from recast.runs.actor import ActorMakers
 from recast.runs.arms import OWN_STREET, PRESETS, Arm, truth_of
 from recast.runs.config import RunConfig
-from recast.runs.layout import ACTOR_FOLDER, rollout_name, use_name
 from recast.runs.making import (
     Maker,
     VehicleParts,
@@ -31,12 +31,10 @@ from recast.runs.making import (
     take_street,
     train_street,
 )
-from recast.runs.planner_cameras import run_mounts
-from recast.runs.renderers import Renderers
-from recast.runs.rollouts import make_rollout, rollout_setup
+from recast.runs.rollouts import Renderers, make_rollout, rollout_setup, run_mounts
+from recast.runs.run_folder import ACTOR_FOLDER, rollout_name, use_name
 from recast.runs.sources import RECIPES, SourceLog, Sources
-from recast.scene import SceneConfig, StreetScene, load_scene
-from recast.scene.dynamic import modelled_tracks
+from recast.scene import StreetScene, load_scene
 from recast.simulation import (
     PlannerProcess,
     RolloutSetup,
@@ -271,7 +269,7 @@ class Artefacts:
             inputs |= self.images_of(arm)
             if arm.generates:
                 inputs["actors"] = {track: self.actor(arm, track).reference for track in tracks}
-        setup = replace(self.setup(motion, arm), plan_limit_s=config.plan_limit_s)
+        setup = self.setup(motion, arm)
 
         def make(out: Path) -> None:
             renderer = meter = None
@@ -302,12 +300,19 @@ class Artefacts:
 
     def setup(self, motion: str, arm: Arm) -> RolloutSetup:
         """What a rollout of an arm is run with."""
-        scripted = self.config.motion(motion)
-        log, hdmap, left = self.source.log, self.source.map, arm.start_left
-        setup = rollout_setup(log, hdmap, self.config, scripted, arm.name, left)
+        config, scripted = self.config, self.config.motion(motion)
         # The same for all arms and planners, and with films: they differ by nothing else.
-        drive = (self.source.hash, self.config.track, scenario_record(scripted))
-        return replace(setup, seed=int(value_hash(drive)[:8], 16))
+        drive = (self.source.hash, config.track, scenario_record(scripted))
+        return rollout_setup(
+            self.source.log,
+            self.source.map,
+            config,
+            scripted,
+            arm.name,
+            start_left=arm.start_left,
+            seed=int(value_hash(drive)[:8], 16),
+            plan_limit_s=config.plan_limit_s,
+        )
 
     def close(self) -> None:
         """Let go of the renderers, and end the planners' processes."""

@@ -13,11 +13,20 @@ from recast.core.errors import InputError
 from recast.core.files import read_json
 from recast.core.records import Record, parse_record, validation_error
 from recast.planning import DEVICE_PATTERN
-from recast.runs.arm_words import is_street, parse_arms
-from recast.runs.arms import MOST_VIEWS, PRESETS, Arm, default_arms, require_undisturbed
-from recast.runs.paper import PAPER, paper_config
-from recast.scene import Preset, SceneConfig, read_config, read_training_config
-from recast.scene import resolve_config as scene_config
+from recast.reconstruction import resolve_config as scene_config
+from recast.reconstruction.config import Preset, SceneConfig, read_config
+from recast.reconstruction.train import read_training_config
+from recast.runs.arms import (
+    MOST_VIEWS,
+    PAPER,
+    PAPER_FOLDER,
+    PRESETS,
+    Arm,
+    default_arms,
+    is_street,
+    parse_arms,
+    require_undisturbed,
+)
 from recast.scene.imported import IMPORT_FILE
 from recast.simulation import (
     MOTIONS,
@@ -216,7 +225,8 @@ def resolve_config(
         InputError: a file or an option is wrong.
     """
     if config_file is not None and str(config_file) == PAPER:
-        config_file = paper_config()
+        # Three forward cameras of 960x640, 30,000 steps, GTRS-Dense, K = 5.
+        config_file = PAPER_FOLDER / "config.json"
     base = None if config_file is None else read_run_config(config_file)
     names = tuple(motions) or (base.motions if base else DEFAULT_MOTIONS)
     values = {**(base.model_dump() if base else {}), **given(run_options), "track": track}

@@ -15,16 +15,16 @@ from recast.core.errors import InputError
 from recast.core.records import validation_error
 from recast.core.workers import use_threads
 from recast.metrics import RolloutMetrics, rollout_metrics
-from recast.metrics.pairs import over_common_steps
+from recast.metrics.table import over_common_steps
 from recast.planning import GTRS_MINI, make_planner
+from recast.reconstruction import SceneConfig
 from recast.runs.arms import Arm, default_arms
 from recast.runs.artefacts import Artefacts
 from recast.runs.config import RunConfig
-from recast.runs.layout import LOG_FOLDER, STORE_FOLDER
 from recast.runs.rollouts import read_rollout
 from recast.runs.run import run
+from recast.runs.run_folder import LOG_FOLDER, STORE_FOLDER
 from recast.runs.sources import SourceLog, Sources, drive_log
-from recast.scene import SceneConfig
 from recast.simulation import RolloutFailure, parse_motions, prepare, scenario_name
 from recast.synthetic import make_world
 from recast.synthetic.rendering import require_embree
@@ -95,12 +95,7 @@ def demo(
             steps=size.steps,
             seed=seed,
             threads=threads,
-            scene=SceneConfig(
-                scale=1.0,
-                iterations=size.iterations,
-                seed=seed,
-                threads=threads,
-            ),
+            scene=SceneConfig(scale=1.0, iterations=size.iterations, seed=seed, threads=threads),
         )
     except ValidationError as error:
         raise validation_error("options", error, "give a value in range") from None

@@ -18,6 +18,10 @@ from rich.markup import escape
 from recast.actors import load_actor
 from recast.core import Artefact, Store, file_hash, folder_hash
 from recast.core.errors import printable
+from recast.reconstruction import train_scene
+from recast.reconstruction.config import SceneConfig
+from recast.reconstruction.evaluate import evaluate_scene
+from recast.reconstruction.train import FREE_FIELDS
 from recast.runs.actor import (
     ActorMakers,
     compare_with_truth,
@@ -26,11 +30,10 @@ from recast.runs.actor import (
     refine_actor,
 )
 from recast.runs.display import SamplingProgress, print_actor
-from recast.runs.layout import ACTOR_FOLDER, LOG_FOLDER, TURNTABLE_FILE
-from recast.runs.scene import evaluation_table, train_with_display
+from recast.runs.run_folder import ACTOR_FOLDER, LOG_FOLDER, TURNTABLE_FILE
+from recast.runs.scene import TrainingDisplay, evaluation_table
 from recast.runs.sources import RECIPES, SourceLog, drive_log
-from recast.scene import SceneConfig, evaluate_scene, load_scene
-from recast.scene.run import FREE_FIELDS
+from recast.scene import load_scene
 from recast.synthetic import World, world_metadata
 
 
@@ -114,11 +117,17 @@ def train_street(maker: Maker, source: SourceLog, config: SceneConfig, name: str
     bodies = [Path(path) for path in (config.smpl_model, config.smpl_poses) if path]
     if bodies:  # a missing one ends the training
         inputs["bodies"] = [file_hash(path) for path in bodies if path.is_file()]
+
+    def train(out: Path) -> None:
+        with TrainingDisplay(maker.console) as display:
+            result = train_scene(source.log, out, config, progress=display)
+        maker.console.print(result.budget.explain(), markup=False)
+
     return maker.make(
         f"street {name}",
         "scenes",
         inputs,
-        lambda out: train_with_display(source.log, out, config, maker.console),
+        train,
         f"{name} street of {source.log.name}",
         resumes=True,
     )
@@ -174,12 +183,7 @@ class VehicleParts:
 
 
 def register_vehicle(
-    maker: Maker,
-    source: SourceLog,
-    track: str,
-    parts: VehicleParts,
-    seed: int,
-    config: SceneConfig,
+    maker: Maker, source: SourceLog, track: str, parts: VehicleParts, seed: int, config: SceneConfig
 ) -> Artefact:
     """A generated vehicle, registered to the log's boxes and LiDAR, with its evidence.
 

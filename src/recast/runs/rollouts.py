@@ -1,17 +1,23 @@
-"""One rollout as a finished folder, with a film of every camera."""
+"""One rollout of a run: its cameras, what renders it, and its finished folder with videos."""
 
 from __future__ import annotations
 
 import logging
 from collections.abc import Callable, Mapping
 from contextlib import ExitStack
+from dataclasses import replace
+from functools import cached_property
 from pathlib import Path
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, ValidationError
+from rich.console import Console
 
+from recast.actors import Actor
+from recast.actors.coverage import CoverageMeter
+from recast.cameras import CameraMount
 from recast.core import files
 from recast.core.errors import InputError, UnreachableError
 from recast.core.names import folder_name, member
@@ -21,10 +27,15 @@ from recast.planning import (
     Planner,
     ShownView,
     planner_cameras,
+    seen_lines,
     seen_record,
+    shown_views,
+    virtual_mounts,
 )
 from recast.reporting.video import VideoWriter, write_video
+from recast.runs.arms import Arm
 from recast.runs.config import RunConfig
+from recast.scene import StreetScene
 from recast.simulation import (
     Rollout,
     RolloutFailure,
@@ -33,6 +44,7 @@ from recast.simulation import (
     SensorRenderer,
     SimState,
     Timings,
+    camera_mounts,
     failure,
     load_rollout,
     run_rollout,
@@ -40,8 +52,188 @@ from recast.simulation import (
 )
 from recast.simulation.actors import other_poses
 from recast.simulation.coverage import Meter, RolloutCoverage, rollout_coverage
-from recast.simulation.restoring import RestoringRenderer
+from recast.simulation.restoring import RestoringRenderer, make_restorer
 from recast.simulation.rollout_files import load_coverage, save_coverage
+from recast.simulation.scene_renderer import SceneRenderer, through_lenses
+
+if TYPE_CHECKING:
+    from recast.synthetic import World
+    from recast.synthetic.oracle import OraclePool
+
+
+def run_mounts(log: DrivingLog, planner: Planner, config: RunConfig) -> dict[str, CameraMount]:
+    """The cameras that a run renders: the log's, at the scale of the scene, and `planner_mounts`.
+
+    Raises:
+        InputError: the configuration names a camera that the log lacks, or see `planner_mounts`.
+    """
+    mounts = camera_mounts(log, config.scene.cameras or None, config.scene.scale)
+    return planner_mounts(mounts, planner, config)
+
+
+def planner_mounts(
+    mounts: Mapping[str, CameraMount], planner: Planner, config: RunConfig
+) -> dict[str, CameraMount]:
+    """The log's cameras, and virtual ones that the planner wants.
+
+    nuPlan's have the scale of the scene, too: 1920x1080 at scale 1. InputError: see `shown_views`.
+    """
+    rendered = {**mounts, **virtual_mounts(planner, mounts, config.scene.scale)}
+    shown_views(planner, rendered)
+    return rendered
+
+
+def require_distinct_planners(planners: Mapping[str, Planner]) -> None:
+    """Refuse planners, by the word that asks for each, that results could not tell apart.
+
+    Raises:
+        InputError: two have the same name.
+    """
+    named: dict[str, str] = {}
+    for word, planner in planners.items():
+        other = named.setdefault(planner.name, word)
+        if other != word:
+            raise InputError(
+                "`planner`",
+                word,
+                f"has the same name as {other}: {planner.name}",
+                "give the planners different names",
+            )
+
+
+def announce_planner(
+    planner: Planner, mounts: Mapping[str, CameraMount], console: Console, where: str = ""
+) -> None:
+    """Print, after `where` on each line, on which device the planner computes and what it sees."""
+    said, warning = seen_lines(planner, mounts)
+    if said:
+        console.print(f"{where}{said}", markup=False, highlight=False)
+    if warning:
+        console.print(f"{where}warning: {warning}", markup=False, highlight=False, style="yellow")
+
+
+StreetOf = Callable[[Arm, tuple[str, ...]], StreetScene]
+"""Gives the street of an arm with the vehicles of these tracks replaced, if the arm does that."""
+
+
+class Renderers:
+    """Renderers, made when first asked for and kept; close it, as some hold processes.
+
+    Args:
+        actor_of: function that gives the vehicle that an arm puts in the place of a track.
+        world_of: function that gives the world of a synthetic log.
+        oracle_workers: processes of an oracle, see `OracleRenderer`.
+        restorer: restorer of the images of arms that are `restorable`; None for no restorer.
+    """
+
+    def __init__(
+        self,
+        street_of: StreetOf,
+        actor_of: Callable[[Arm, str], Actor],
+        world_of: Callable[[], World],
+        oracle_workers: int = 0,
+        restorer: str | None = None,
+    ) -> None:
+        self._street_of, self._actor_of, self._world_of = street_of, actor_of, world_of
+        self._oracle_workers, self._restorer = oracle_workers, restorer
+        self._open = ExitStack()
+        self._streets: dict[tuple[str, tuple[str, ...]], StreetScene] = {}
+        self._made: dict[tuple[str, tuple[str, ...], str], SensorRenderer] = {}
+        self._meters: dict[tuple[str, tuple[str, ...]], CoverageMeter | None] = {}
+
+    def street(self, arm: Arm, tracks: tuple[str, ...]) -> StreetScene:
+        """The reconstruction of an arm; `tracks` are replaced where it replaces any."""
+        key = arm.name, tracks
+        if key not in self._streets:
+            self._streets[key] = self._street_of(arm, tracks)
+        return self._streets[key]
+
+    def of(
+        self, arm: Arm, tracks: tuple[str, ...], planner: str, mounts: Mapping[str, CameraMount]
+    ) -> SensorRenderer:
+        """The renderer of an arm.
+
+        Args:
+            planner: name of the planner whose cameras are among `mounts`.
+            tracks: tracks whose vehicles the arm exchanges or leaves out, the target first.
+
+        Raises:
+            InputError: the street has no such actor, or the log is not synthetic.
+        """
+        key = arm.name, tracks, planner
+        if key not in self._made:
+            if self._restores(arm) or arm.noise == "jitter":
+                # What comes out for a pixel depends on others, beyond the window, too.
+                mounts = {name: replace(mount, window=None) for name, mount in mounts.items()}
+            made = through_lenses(mounts, lambda pinholes: self._make(arm, tracks, pinholes))
+            self._made[key] = self._restored(arm, self._disturbed(arm, made))
+        return self._made[key]
+
+    def meter(self, arm: Arm, tracks: tuple[str, ...]) -> CoverageMeter | None:
+        """What measures the coverage of an arm's target; None for a vehicle without shares."""
+        if not arm.generates:
+            return None
+        key = arm.name, tracks
+        if key not in self._meters:
+            actor = self._actor_of(arm, tracks[0])
+            self._meters[key] = (
+                None
+                if actor.shares is None
+                else CoverageMeter(self.street(arm, tracks), actor.track_id, actor.shares)
+            )
+        return self._meters[key]
+
+    def _make(
+        self, arm: Arm, tracks: tuple[str, ...], mounts: Mapping[str, CameraMount]
+    ) -> SensorRenderer:
+        """The renderer of cameras without distortion."""
+        absent = tracks if arm.vehicle == "none" else ()
+        if not arm.needs_world:
+            return SceneRenderer(self.street(arm, tracks), mounts, absent=absent)
+        # With the synthetic world, which needs a ray tracer.
+        from recast.simulation.composite_renderer import (
+            GeneratedVehicleRenderer,
+            TrueVehicleRenderer,
+        )
+        from recast.simulation.oracle_renderer import OracleRenderer
+
+        world, pool = self._world_of(), self._oracles
+        if arm.reconstructs:
+            street = self.street(arm, tracks)
+            return TrueVehicleRenderer(world, street, mounts, tracks=tracks, pool=pool)
+        if arm.generates:
+            street = self.street(arm, tracks)
+            return GeneratedVehicleRenderer(world, street, mounts, tracks=tracks, pool=pool)
+        seed = 1 if arm.noise == "seed" else 0
+        return OracleRenderer(world, mounts, tracks=absent, noise=seed, pool=pool)
+
+    @cached_property
+    def _oracles(self) -> OraclePool:
+        """Of all arms: processes that trace rays hold the whole world each."""
+        from recast.synthetic.oracle import OraclePool
+
+        return self._open.enter_context(OraclePool(self._world_of(), self._oracle_workers))
+
+    def _disturbed(self, arm: Arm, renderer: SensorRenderer) -> SensorRenderer:
+        if arm.noise not in ("grey", "jitter"):
+            return renderer
+        from recast.simulation.camera_noise import NoisyRenderer
+
+        seed = self._world_of().seed if arm.needs_world else 0
+        return NoisyRenderer(renderer, arm.noise, seed)
+
+    def _restores(self, arm: Arm) -> bool:
+        return self._restorer is not None and arm.restorable
+
+    def _restored(self, arm: Arm, renderer: SensorRenderer) -> SensorRenderer:
+        if self._restorer is None or not self._restores(arm):
+            return renderer
+        return RestoringRenderer(renderer, make_restorer(self._restorer))
+
+    def close(self) -> None:
+        """End the oracle's processes."""
+        self._open.close()
+
 
 _LOG = logging.getLogger(__name__)
 
@@ -248,6 +440,8 @@ def rollout_setup(
     motion: ScriptedMotion,
     arm: str,
     start_left: float = 0.0,
+    seed: int = 0,
+    plan_limit_s: float | None = None,
 ) -> RolloutSetup:
     """What a run is asked for, as the setup of one rollout under the arm of a name."""
     return RolloutSetup(
@@ -261,4 +455,6 @@ def rollout_setup(
         keep_other_actors=config.keep_other_actors,
         camera_names=config.scene.cameras or tuple(log.cameras),
         start_left=start_left,
+        seed=seed,
+        plan_limit_s=plan_limit_s,
     )

@@ -14,18 +14,11 @@ from recast.core.workers import use_threads
 from recast.runs.artefacts import Artefacts
 from recast.runs.config import RunConfig
 from recast.runs.display import failure_lines, results_tables
-from recast.runs.layout import (
-    METRICS_FILE,
-    REPLAY_FILE,
-    REPORT_FOLDER,
-    STORE_FOLDER,
-)
-from recast.runs.planner_cameras import announce_planner, require_distinct_planners
 from recast.runs.report import report_run
-from recast.runs.run_folder import RunFolder
-from recast.runs.scores import read_metrics, write_metrics
+from recast.runs.rollouts import announce_planner, require_distinct_planners
+from recast.runs.run_folder import METRICS_FILE, REPLAY_FILE, REPORT_FOLDER, STORE_FOLDER, RunFolder
+from recast.runs.scores import RunTrust, read_metrics, write_metrics
 from recast.runs.sources import RECIPES, SourceLog, Sources
-from recast.runs.trust import RunTrust
 from recast.runs.view import view_inputs
 from recast.simulation import prepare
 from recast.simulation.restoring import make_restorer

@@ -1,7 +1,6 @@
 """A run folder: what was asked for, references to the artefacts that came of it, and the report.
 
-docs/runs.md lists its files.
-"""
+docs/runs.md lists its files. Names inside of artefacts stand here, too."""
 
 from __future__ import annotations
 
@@ -26,7 +25,40 @@ from recast.core.records import Record, parse_record, read_record
 from recast.core.remote import remote_path
 from recast.logs.load import local_folder
 from recast.runs.config import CONFIG_VERSION, RunConfig
-from recast.runs.layout import use_parts
+
+STORE_FOLDER = "store"
+"""Name of the store beside the run folders, where no other is named."""
+LOG_FOLDER = "log"
+OBSERVATION_FOLDER = "observation"
+EVIDENCE_FILE = "observation/evidence.safetensors"
+ACTOR_FOLDER = "actor"
+REFINEMENT_CHECKPOINT = "refinement.safetensors"
+TURNTABLE_FILE = "turntable.mp4"
+VIEWS_FOLDER = "views"
+METRICS_FILE = "metrics.json"
+REPORT_FOLDER = "report"
+REPLAY_FILE = "replay.html"
+
+
+def use_name(what: str, *names: str) -> str:
+    """What a run calls an artefact, such as "scene/recast".
+
+    Args:
+        names: names from outside, of tracks, planners, arms and streets; a "/" in one is escaped,
+            so that other names never give the same use.
+    """
+    return "/".join([what, *(name.replace("%", "%25").replace("/", "%2F") for name in names)])
+
+
+def rollout_name(motion: str, planner: str, arm: str) -> str:
+    """What a run calls a rollout."""
+    return use_name("rollout", motion, planner, arm)
+
+
+def use_parts(use: str) -> tuple[str, ...]:
+    """What `use_name` was given."""
+    return tuple(part.replace("%2F", "/").replace("%25", "%") for part in use.split("/"))
+
 
 _LOG = logging.getLogger(__name__)
 

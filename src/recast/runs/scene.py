@@ -1,4 +1,4 @@
-"""Training and judging a scene with a display for the terminal; the truth of synthetic drives."""
+"""Training and judging a scene on a terminal; the truth of synthetic drives."""
 
 from __future__ import annotations
 
@@ -9,28 +9,28 @@ from pathlib import Path
 
 import numpy as np
 from rich.box import SIMPLE_HEAD
-from rich.console import Console
+from rich.console import Console, RenderableType
 from rich.markup import escape
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TimeRemainingColumn
 from rich.table import Table
+from rich.text import Text
 
 from recast.arrays import Image
 from recast.core.errors import printable
 from recast.core.progress import ProgressBar
 from recast.logs import DrivingLog
 from recast.metrics.perceptual import load_distances
-from recast.scene import (
+from recast.reconstruction import (
     SHIFTS,
     RegionScore,
     SceneConfig,
     SceneEvaluation,
     ShiftedView,
-    TrainingDisplay,
-    TrainResult,
+    TrainingStatus,
     evaluate_scene,
-    load_scene,
     read_training_config,
-    train_scene,
 )
+from recast.scene import load_scene
 from recast.scene.imported import IMPORT_FILE
 from recast.synthetic import Oracle, is_synthetic, world_of
 from recast.synthetic.oracle import OraclePool
@@ -39,22 +39,53 @@ from recast.synthetic.rig import exposure, sensor_number
 _STREAM = 801
 
 
-def train_with_display(
-    log: DrivingLog,
-    out: str | Path,
-    config: SceneConfig,
-    console: Console | None = None,
-    device: str = "auto",
-) -> TrainResult:
-    """Train a scene, or go on with one, while showing progress and time left.
+class TrainingDisplay(Progress):
+    """A live bar with a line of figures; pass the object itself as `progress` to `train_scene`.
 
-    Says at the end how many Gaussians there might be, and whether that limit was met.
+    >>> from recast.reconstruction import train_scene
+    >>> with TrainingDisplay() as display:                      # doctest: +SKIP
+    ...     train_scene(log, out, config, progress=display)
     """
-    console = console or Console()
-    with TrainingDisplay(console) as display:
-        result = train_scene(log, out, config, progress=display, device=device)
-    console.print(result.budget.explain(), markup=False)
-    return result
+
+    def __init__(self, console: Console | None = None) -> None:
+        columns = BarColumn(), MofNCompleteColumn(), TimeRemainingColumn()
+        self._figures = Text()
+        super().__init__("{task.description}", *columns, console=console, refresh_per_second=4)
+        self._task = self.add_task("scene", total=None)
+
+    def __call__(self, status: TrainingStatus) -> None:
+        """Show a status."""
+        self._figures = Text("  " + describe(status), style="dim")
+        self.update(
+            self._task,
+            description=f"scene: {status.phase}",
+            total=status.iterations,
+            completed=status.iteration,
+        )
+
+    def get_renderables(self) -> Iterator[RenderableType]:
+        """The bar, and the figures below it."""
+        yield from super().get_renderables()
+        yield self._figures
+
+
+def describe(status: TrainingStatus) -> str:
+    """One line of figures: those that are known."""
+    parts = [f"{status.gaussians:,} Gaussians"] if status.gaussians else []
+    if status.limited:
+        parts.append(f"limit of {status.most_gaussians:,} met")
+    if status.loss is not None:
+        parts.append(f"loss {status.loss:.4f}")
+    if status.psnr is not None:
+        parts.append(f"train {status.psnr:.2f} dB")
+    if status.held_out_psnr is not None:
+        parts.append(f"held out {status.held_out_psnr:.2f} dB")
+    if status.iterations_per_second is not None:
+        parts.append(f"{status.iterations_per_second:.1f} it/s")
+    if status.seconds_left is not None:
+        minutes, seconds = divmod(round(status.seconds_left), 60)
+        parts.append(f"{minutes}:{seconds:02d} left")
+    return ", ".join(parts)
 
 
 def evaluate_and_print(

@@ -1,38 +1,114 @@
-"""metrics.json, everything that a run measured, and eval.json: written, and read back checked."""
+"""metrics.json, everything that a run measured, and eval.json: written, and read back checked.
+
+A `ScoredRollout` is a stored rollout with its scores; `RunTrust` says how far to trust it."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
 from itertools import product
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Any, Literal
 
 from pydantic import BaseModel, ConfigDict, field_validator
 
 from recast.actors import load_actor
 from recast.core import Artefact, files
 from recast.core.records import parse_record
-from recast.logs import HdMap
-from recast.metrics import COLUMNS, RolloutMetrics, matched_pairs, table
+from recast.logs import DrivingLog, HdMap
+from recast.metrics import COLUMNS, RolloutMetrics, matched_pairs, rollout_metrics, table
+from recast.metrics.trust import (
+    SIGHTLESS,
+    GivenCamera,
+    HeldOutFrame,
+    RecordedViews,
+    RolloutTrust,
+    TrustCalibration,
+    TrustFeatures,
+    judge,
+    packaged_calibration,
+    trust_features,
+)
+from recast.planning import ShownView
+from recast.reconstruction.evaluation import EVALUATION_VERSION
+from recast.reconstruction.scores import DepthScore, RegionScore
+from recast.runs.arms import Arm, under_other_noise
 from recast.runs.config import RunConfig
-from recast.runs.layout import ACTOR_FOLDER, VIEWS_FOLDER, use_parts
-from recast.runs.scored_rollouts import ScoredRollout, scored_rollouts
-from recast.scene import RegionScore
-from recast.scene.evaluate_record import EVALUATION_VERSION, DepthScore
-from recast.simulation import RolloutFailure
+from recast.runs.rollouts import given_views, read_coverage, read_rollout
+from recast.runs.run_folder import ACTOR_FOLDER, VIEWS_FOLDER, rollout_name, use_name, use_parts
+from recast.simulation import Rollout, RolloutFailure
+from recast.simulation.coverage import RolloutCoverage
+from recast.simulation.oracle_renderer import OracleRenderer
 
-if TYPE_CHECKING:
-    from recast.runs.trust import RunTrust
+
+@dataclass(frozen=True)
+class ScoredRollout:
+    """A stored rollout of an arm, scored, with what else its trust depends on.
+
+    Attributes:
+        folder: folder that `make_rollout` wrote.
+        coverage: coverage of its vehicle; None for a vehicle without shares.
+        evaluation: held-out scores of its street; None if no image was held out.
+        disturbed: the same scenario, planner and arm under other noise.
+    """
+
+    arm: Arm
+    folder: Path
+    metrics: RolloutMetrics
+    coverage: RolloutCoverage | None
+    evaluation: Artefact | None
+    disturbed: tuple[RolloutMetrics, ...]
+
+
+def scored_rollouts(
+    motion: str,
+    planner: str,
+    arms: Sequence[Arm],
+    find: Callable[[str], Artefact | None],
+    hd_map: HdMap,
+) -> dict[str, ScoredRollout | RolloutFailure]:
+    """The rollouts of a scenario that were made, by arm.
+
+    Args:
+        motion, planner: names of the motion and the planner in the run's config.
+        find: function that gives the artefact of a use; None if the run has none.
+        hd_map: lanes and drivable area that they are judged by.
+
+    Raises:
+        InputError: a record is missing or damaged.
+    """
+    made = {arm.name: find(rollout_name(motion, planner, arm.name)) for arm in arms}
+    folders = {name: artefact.path for name, artefact in made.items() if artefact is not None}
+    results = {name: read_rollout(folder) for name, folder in folders.items()}
+    metrics = {
+        name: rollout_metrics(result, hd_map)
+        for name, result in results.items()
+        if isinstance(result, Rollout)
+    }
+    found: dict[str, ScoredRollout | RolloutFailure] = {}
+    for arm in arms:
+        result = results.get(arm.name)
+        if isinstance(result, RolloutFailure):
+            found[arm.name] = result
+        elif result is not None:
+            disturbed = (one.name for one in under_other_noise(arm, arms))
+            found[arm.name] = ScoredRollout(
+                arm,
+                folders[arm.name],
+                metrics[arm.name],
+                read_coverage(folders[arm.name]),
+                find(use_name("evaluation", arm.street)),
+                tuple(metrics[name] for name in disturbed if name in metrics),
+            )
+    return found
+
 
 METRICS_VERSION: Literal[3] = 3
 
 
 def write_metrics(
-    path: Path,
-    config: RunConfig,
-    used: Mapping[str, Artefact],
-    hd_map: HdMap,
-    trust: RunTrust,
+    path: Path, config: RunConfig, used: Mapping[str, Artefact], hd_map: HdMap, trust: RunTrust
 ) -> None:
     """Score all rollouts of a run and write them with what its other artefacts measured.
 
@@ -237,3 +313,93 @@ def _checked(path: Path, model: type[_Open], version: int, mend: str) -> dict[st
     value: dict[str, Any] = files.read_json(path)
     parse_record(path, value, model, version, mend)
     return value
+
+
+class RunTrust:
+    """Judges the rollouts of one log and target.
+
+    Args:
+        track: id of the target's track.
+        calibration: calibration to judge by; that of the package if None.
+    """
+
+    def __init__(
+        self, log: DrivingLog, track: str, calibration: TrustCalibration | None = None
+    ) -> None:
+        self._log, self._track, self._calibration = log, track, calibration
+
+    @cached_property
+    def _recorded(self) -> RecordedViews:
+        return RecordedViews(self._log, self._track)
+
+    def of(self, rollout: ScoredRollout) -> RolloutTrust | None:
+        """The trust of a rollout; None for one that shows the truth.
+
+        Raises:
+            InputError: a record is missing or damaged.
+        """
+        if rollout.arm.is_truth:
+            return None
+        features = self.features(rollout)
+        return SIGHTLESS if features is None else self._judged(features)
+
+    def features(self, rollout: ScoredRollout) -> TrustFeatures | None:
+        """The features of a rollout, see `of`; None if its planner looks at no images."""
+        cameras = self._cameras(given_views(rollout.folder))
+        if not cameras:
+            return None
+        scores = rollout.evaluation
+        return trust_features(
+            rollout.metrics,
+            self._recorded,
+            cameras,
+            rollout.coverage,
+            () if scores is None else held_out_frames(scores.path / "eval.json"),
+            rollout.disturbed,
+        )
+
+    def of_process(self, metrics: RolloutMetrics) -> RolloutTrust | None:
+        """The trust of a rollout that was run in this process, without shares and held-out scores.
+
+        None for one that was read from disk or shows the truth.
+        """
+        origin = metrics.rollout.origin
+        if origin is None or isinstance(origin.renderer, OracleRenderer):
+            return None
+        if origin.renderer is None:
+            return SIGHTLESS
+        mounts = {n: m for n, m in origin.renderer.mounts.items() if n in self._log.cameras}
+        cameras = tuple(GivenCamera(name, mount.camera.width) for name, mount in mounts.items())
+        if not cameras:
+            return None
+        return self._judged(trust_features(metrics, self._recorded, cameras, None, ()))
+
+    def _judged(self, features: TrustFeatures) -> RolloutTrust:
+        return judge(features, self._calibration or packaged_calibration())
+
+    def _cameras(self, views: tuple[ShownView, ...]) -> tuple[GivenCamera, ...]:
+        """The log's cameras at whose places a planner looks; all for a view with its own place."""
+        widths: dict[str, int] = {}
+        for view in views:
+            known = view.source is not None and view.source in self._log.cameras
+            for name in (str(view.source),) if known else self._log.cameras:
+                widths[name] = max(view.width, widths.get(name, 0))
+        return tuple(GivenCamera(name, width) for name, width in widths.items())
+
+
+def held_out_frames(path: Path) -> tuple[HeldOutFrame, ...]:
+    """The frames of an eval.json.
+
+    Raises:
+        InputError: it is missing or damaged.
+    """
+    keys = ("camera", "timestamp_us", "psnr", "ssim")
+    frames = read_evaluation(path)["frames"]
+    return tuple(HeldOutFrame(*(one[key] for key in keys)) for one in frames)
+
+
+def trust_of_process(rollout: Rollout, metrics: RolloutMetrics) -> RolloutTrust | None:
+    """See `RunTrust.of_process`."""
+    if rollout.origin is None:
+        return None
+    return RunTrust(rollout.origin.setup.log, rollout.track_id).of_process(metrics)

@@ -54,7 +54,6 @@ class SourceLog:
 
     Attributes:
         address: address of the log, if that is another place than the folder, which holds a copy.
-        hash: hash of all bytes of the folder.
     """
 
     path: Path

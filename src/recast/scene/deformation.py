@@ -1,33 +1,33 @@
-"""Deformable nodes: actors whose Gaussians move within their box (OmniRe; Yang et al. 2024).
-
-A canonical set of Gaussians, and one network for all deformable actors of a scene that says how far
-each Gaussian is from its canonical place at a time, and how it is turned. Deformable 3D Gaussians
-(Yang et al. 2024, section 3.2): multilayer perceptron of encoded position and time; OmniRe (Chen et
-al. 2025, section 4.2): in the box frame, with a code for each actor.
-"""
+"""Actors whose Gaussians move within their box: deformable nodes, and bodies on a skeleton."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
+import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor
 from torch.nn import functional
 
-from recast.logs import Track, Trajectory
-from recast.scene.config import MOST_BANDS, MOST_CODE, MOST_LAYERS, MOST_WIDTH, SceneConfig
-from recast.scene.dynamic import deforms
-from recast.scene.poses import AdamTable
-from recast.scene.schedule import DEFORMATION, deformation_rate, generator
+from recast.arrays import Array
+from recast.geometry import se3
+from recast.logs import Trajectory
+from recast.logs.checks import check_times
 from recast.splats import Gaussians
-from recast.splats.gaussians import LARGEST
+from recast.splats.gaussians import LARGEST, quat_multiply
 
 OUTPUTS = 7
 """Metres along x, y and z, and what is added to the quaternion."""
 TIME_UNIT_US = 20_000_000
 """Microseconds after the first label that are 1 for the network: the length of Waymo's segments, of
 which OmniRe's time is a share, so that its octaves are the same frequencies."""
+MOST_LAYERS, MOST_WIDTH, MOST_BANDS, MOST_CODE = 16, 1024, 16, 256
+"""Limits of the deformation network."""
+MOST_JOINTS, MOST_POSES = 256, 1_000_000
+UNIT_TOLERANCE = 1e-3
+"""How far the weights of a Gaussian may be from adding up to 1, and a quaternion from length 1."""
 
 
 @dataclass(frozen=True)
@@ -167,77 +167,116 @@ def _linear(values: Tensor, layer: Tensor) -> Tensor:
     return functional.linear(values, layer[:, :-1], layer[:, -1])
 
 
-class DeformableNodes:
-    """The network and the codes of the actors that deform.
+@dataclass(frozen=True)
+class Skinning:
+    """How the Gaussians of one body move over its time.
 
-    Weights start as torch's linear layers do, the outputs at zero: all actors start rigid.
+    Gaussians are in the body's rest frame; `at` puts them into the box frame of their actor.
 
-    Args:
-        tracks: actors that may deform; those that do are taken, see `deforms`.
+    Attributes:
+        weights: (N, J) float32, of the joints in each Gaussian's motion; rows add up to 1.
+        joints: (J, 3) float64 rest places, metres.
+        parents: (J,) int64, -1 for the first joint and an earlier joint for all others.
+        timestamps_us: (T,) int64.
+        rotations: (T, J, 4) float64 quaternions wxyz of the joints in their parents' frames; the
+            first is `box_from_body`.
+        translations: (T, 3) float64 metres in the box frame, added to all.
     """
 
-    def __init__(
-        self, config: SceneConfig, tracks: Mapping[str, Track], device: torch.device | str
-    ) -> None:
-        self._config = config
-        self._tracks = {key: track for key, track in tracks.items() if deforms(track, config)}
-        self._names = tuple(self._tracks)
-        self._tables: dict[str, AdamTable] = {}
-        if not self._names:
-            return
-        rng = generator(config.seed, 0, DEFORMATION)
-        shapes = layer_shapes(
-            config.deformation_layers,
-            config.deformation_width,
-            config.deformation_bands,
-            config.deformation_time_bands,
-            config.deformation_code,
-        )
-        for number, (rows, columns) in enumerate(shapes):
-            bound = (columns - 1) ** -0.5
-            first = (2 * torch.rand(rows, columns, generator=rng) - 1) * bound
-            last = number == len(shapes) - 1
-            self._tables[f"deformation_{number}"] = AdamTable(0 * first if last else first)
-        codes = torch.randn(len(self._names), config.deformation_code, generator=rng)
-        self._tables["deformation_codes"] = AdamTable(codes)
-        for table in self._tables.values():
-            table.to(device)
+    weights: Tensor
+    joints: Array
+    parents: NDArray[np.int64]
+    timestamps_us: NDArray[np.int64]
+    rotations: Array
+    translations: Array
 
-    def __contains__(self, track_id: str) -> bool:
-        return track_id in self._tracks
-
-    def tables(self) -> dict[str, AdamTable]:
-        """What is learned, by name; empty if nothing deforms."""
-        return dict(self._tables)
-
-    def deformation(self, track_id: str) -> Deformation:
-        """The actor's deformation, with the graph back to the network and its code."""
-        *layers, codes = (table.value for table in self._tables.values())
-        config = self._config
-        network = DeformationNetwork(
-            tuple(layers), config.deformation_bands, config.deformation_time_bands
-        )
-        reach = float(self._tracks[track_id].size.max()) / 2
-        return Deformation(network, codes[self._names.index(track_id)], reach)
-
-    def begun(self, u: float) -> bool:
-        """Whether actors deform at a share of the run; before, they are trained as rigid."""
-        return u >= self._config.deformation_from
-
-    def step(self, u: float) -> None:
-        """Adam on the network, and on the codes of the actors that were drawn."""
-        for table in self._tables.values():
-            table.step(deformation_rate(self._config, u))
-
-    def learned(self) -> dict[str, Deformation]:
-        """Copies on the CPU by track id; they share one network."""
-        found = {name: self.deformation(name) for name in self._names}
-        if not found:
-            return {}
-        first = next(iter(found.values())).network
-        layers = tuple(layer.detach().to("cpu", copy=True) for layer in first.layers)
-        network = DeformationNetwork(layers, first.bands, first.time_bands)
-        return {
-            name: Deformation(network, own.code.detach().to("cpu", copy=True), own.reach)
-            for name, own in found.items()
+    def validate(self, where: str, count: int) -> None:
+        """Raise ValueError naming the member at fault of an actor `where` of `count` Gaussians."""
+        joints, times = len(self.parents), len(self.timestamps_us)
+        if not 1 <= joints <= MOST_JOINTS or not 1 <= times <= MOST_POSES:
+            raise ValueError(f"{where}: {joints} joints and {times} poses")
+        shapes = {
+            "weights": (count, joints),
+            "joints": (joints, 3),
+            "parents": (joints,),
+            "timestamps_us": (times,),
+            "rotations": (times, joints, 4),
+            "translations": (times, 3),
         }
+        for name, shape in shapes.items():
+            value = getattr(self, name)
+            if tuple(value.shape) != shape:
+                raise ValueError(f"{where}.{name}: expected {shape}, got {tuple(value.shape)}")
+        check_times(f"{where}.timestamps_us", self.timestamps_us)
+        check_tree(where, self.parents)
+        check_weights(where, self.weights.detach().double().numpy())
+        for name in ("joints", "translations"):
+            if not np.all(np.abs(getattr(self, name)) < LARGEST):  # also NaN
+                raise ValueError(f"{where}.{name}: a value is not finite, or out of range")
+        norms = np.linalg.norm(self.rotations, axis=2)
+        if not np.all(np.abs(norms - 1) < UNIT_TOLERANCE):
+            raise ValueError(f"{where}.rotations: a quaternion is not of length 1")
+
+    def at(self, gaussians: Gaussians, trajectory: Trajectory, timestamp_us: int) -> Gaussians:
+        """The Gaussians in the box frame at a time; before the first and after the last, as then.
+
+        Differentiable in the Gaussians. Their rotation is the weighted mean of the joints'
+        quaternions. View-dependent colour does not turn with the limbs.
+        """
+        del trajectory
+        moved, turns = (
+            torch.from_numpy(part).to(gaussians.means) for part in self._joints_at(timestamp_us)
+        )
+        weights = self.weights.to(gaussians.means)
+        blend = (weights @ moved.flatten(1)).view(-1, 3, 4)
+        means = (blend[:, :, :3] @ gaussians.means[:, :, None])[..., 0] + blend[:, :, 3]
+        # A quaternion and its negative are one rotation: all take the sign nearest to the heaviest.
+        heaviest = turns[weights.argmax(dim=1)]
+        signs = torch.sign(heaviest @ turns.T + 1e-9)
+        turn = functional.normalize((weights * signs) @ turns, dim=1)
+        return replace(gaussians, means=means, quats=quat_multiply(turn, gaussians.quats))
+
+    def _joints_at(self, timestamp_us: int) -> tuple[Array, Array]:
+        """Rest-to-box transforms (J, 3, 4) of the joints, and their rotations (J, 4)."""
+        place = np.interp(timestamp_us, self.timestamps_us, np.arange(len(self.timestamps_us)))
+        left = min(int(place), max(len(self.timestamps_us) - 2, 0))
+        right, share = min(left + 1, len(self.timestamps_us) - 1), place - left
+        rotations = se3.slerp(self.rotations[left], self.rotations[right], share)
+        shift = (1 - share) * self.translations[left] + share * self.translations[right]
+        poses = joint_poses(se3.quat_to_matrix(rotations), self.joints, self.parents)
+        poses[:, :3, 3] += shift
+        rest = np.einsum("jab,jb->ja", poses[:, :3, :3], self.joints)
+        moved = np.concatenate([poses[:, :3, :3], (poses[:, :3, 3] - rest)[..., None]], axis=2)
+        return moved, se3.matrix_to_quat(poses[:, :3, :3])
+
+
+def joint_poses(rotations: Array, joints: Array, parents: NDArray[np.int64]) -> Array:
+    """Poses (J, 4, 4) `body_from_joint` of a skeleton.
+
+    Args:
+        rotations: (J, 3, 3) in the parents' frames.
+        joints: (J, 3) rest places.
+        parents: (J,), see `Skinning`.
+    """
+    poses = np.tile(np.eye(4), (len(joints), 1, 1))
+    for joint, parent in enumerate(parents):
+        poses[joint, :3, :3] = rotations[joint]
+        poses[joint, :3, 3] = joints[joint] - (0 if parent < 0 else joints[parent])
+        if parent >= 0:
+            poses[joint] = poses[parent] @ poses[joint]
+    return poses
+
+
+def check_tree(where: str, parents: NDArray[np.int64]) -> None:
+    """Raise ValueError unless the first joint has no parent and all others an earlier one."""
+    numbers = np.arange(len(parents))
+    if parents[0] != -1 or np.any(parents[1:] < 0) or np.any(parents[1:] >= numbers[1:]):
+        raise ValueError(f"{where}.parents: -1, then for each joint an earlier one, got {parents}")
+
+
+def check_weights(where: str, weights: Array) -> None:
+    """Raise ValueError unless weights (N, J) are not negative and add up to 1."""
+    if not (np.all(weights >= -UNIT_TOLERANCE) and np.all(weights <= 1 + UNIT_TOLERANCE)):
+        raise ValueError(f"{where}.weights: a value is not within 0 and 1")
+    if not np.all(np.abs(weights.sum(axis=1) - 1) < UNIT_TOLERANCE):
+        raise ValueError(f"{where}.weights: a row does not add up to 1")

@@ -12,15 +12,15 @@ import numpy as np
 from recast.core.errors import InputError
 from recast.core.files import atomic_folder, write_json
 from recast.core.names import folder_name
+from recast.scene.actor import SceneActor
 from recast.scene.sky import write_sky
-from recast.scene.street_scene import SceneActor, StreetScene
+from recast.scene.street_scene import StreetScene
 from recast.splats.formats import format_named, write_gaussians
 
 EXPORT_VERSION = 1
 EXPORT_FORMAT = "recast-scene-export"
 RECORD_FILE, SKY_FILE = "scene.json", "sky.png"
 BACKGROUND, MERGED = "background", "merged"
-
 CONVENTIONS = {
     "units": "metres; timestamps in microseconds",
     "world": "z up; coordinates of the dataset = coordinates here + world_offset",

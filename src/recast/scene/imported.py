@@ -22,9 +22,8 @@ from recast.core.records import Record
 from recast.geometry import se3
 from recast.logs import DrivingLog, read_log, write_log
 from recast.logs.checks import WORLD_REACH
-from recast.scene.run import log_fingerprint
 from recast.scene.sky import SkyMap, read_sky
-from recast.scene.store import save_scene
+from recast.scene.store import log_fingerprint, save_scene
 from recast.scene.street_scene import StreetScene
 from recast.splats import Gaussians
 from recast.splats.formats import format_of, read_gaussians

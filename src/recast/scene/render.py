@@ -10,11 +10,10 @@ import torch
 
 from recast.arrays import Array, Float32Array
 from recast.cameras import PinholeCamera
-from recast.scene.light.relight import rounded
+from recast.scene.actor import DrawnActor
 from recast.scene.sky import composite, pixel_coordinates
-from recast.scene.street_scene import SceneActor, StreetScene
+from recast.scene.street_scene import StreetScene
 from recast.splats import (
-    FrozenGaussians,
     RasterImages,
     Window,
     freeze,
@@ -25,8 +24,6 @@ from recast.splats import (
 
 _FAR = 1e10
 """Metres; all that is farther is sky."""
-Parts = list[FrozenGaussians]
-"""Pieces of an actor, actor-local."""
 
 
 @dataclass(frozen=True)
@@ -56,41 +53,13 @@ class SceneRasterizer:
 
     def __init__(self, scene: StreetScene, device: str = "auto") -> None:
         place = pick_device(device)
-        self._actors, self._device = scene.actors, place
         self._standing = scene.standing
         self._sky = scene.sky.colours.to(place)
         background = scene.background.detach()
         self._background = freeze(background.select(morton_order(background.means)).to(place))
-        self._parts = {
-            track_id: frozen_parts(actor, place) for track_id, actor in scene.actors.items()
+        self._actors = {
+            track_id: DrawnActor(actor, place) for track_id, actor in scene.actors.items()
         }
-        self._lit: dict[str, tuple[Array, Parts]] = {}
-        self._shaped: dict[str, tuple[int | None, int | None, Parts]] = {}
-
-    def _parts_at(
-        self, track_id: str, pose: Array, colours_us: int | None, shapes_us: int | None
-    ) -> Parts:
-        """What is drawn of an actor at a pose; several cameras share light and shape of one place
-        and time."""
-        actor = self._actors[track_id]
-        if actor.deformation is not None:
-            kept = self._shaped.get(track_id)
-            if kept is None or kept[:2] != (colours_us, shapes_us):
-                if colours_us is not None:
-                    actor = actor.coloured_at(colours_us)
-                parts = frozen_parts(actor.shaped_at(shapes_us), self._device)
-                kept = self._shaped[track_id] = colours_us, shapes_us, parts
-            return kept[2]
-        if actor.light is not None:
-            place = rounded(pose)
-            if track_id not in self._lit or not np.array_equal(self._lit[track_id][0], place):
-                parts = _recoloured(self._parts[track_id], actor.lit_at(place), self._device)
-                self._lit[track_id] = place, parts
-            return self._lit[track_id][1]
-        if colours_us is not None and actor.appearance is not None:
-            own = actor.coloured_at(colours_us)
-            return _recoloured(self._parts[track_id], own, self._device)
-        return self._parts[track_id]
 
     def render(
         self,
@@ -161,27 +130,12 @@ class SceneRasterizer:
         drawn = [(self._background, torch.eye(4, dtype=torch.float64))] if street else []
         for track_id, pose in {**(self._standing if street else {}), **poses}.items():
             world_from_actor = torch.from_numpy(np.array(pose, np.float64))
-            for part in self._parts_at(track_id, pose, colours_us, shapes_us):
+            for part in self._actors[track_id].at(pose, colours_us, shapes_us):
                 drawn.append((part, world_from_actor))
         with torch.no_grad():
             return rasterize_frozen(
                 drawn, view, K, camera.width, camera.height, far=nearer_than, window=window
             )
-
-
-def frozen_parts(actor: SceneActor, place: torch.device) -> Parts:
-    """What is drawn of an actor on a device: vehicle and shadow, actor-local."""
-    return [freeze(actor.gaussians.to(place), actor.low_pass), *_shadow(actor, place)]
-
-
-def _recoloured(parts: Parts, actor: SceneActor, place: torch.device) -> Parts:
-    """What is drawn of an actor whose colours alone and whose shadow are others than those of
-    `parts`."""
-    return [parts[0].recoloured(actor.gaussians.sh.to(place)), *_shadow(actor, place)]
-
-
-def _shadow(actor: SceneActor, place: torch.device) -> Parts:
-    return [] if actor.shadow is None else [freeze(actor.shadow.to(place))]
 
 
 def render_scene(

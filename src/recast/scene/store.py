@@ -2,41 +2,186 @@
 
 from __future__ import annotations
 
+import hashlib
+import json
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from safetensors.torch import save
 from torch import Tensor
 
 from recast.core.errors import InputError
-from recast.core.files import write_json
+from recast.core.files import parse_json, write_bytes, write_json
 from recast.core.names import folder_name, member
 from recast.core.records import Record, read_record
-from recast.logs import Trajectory
+from recast.core.torch_file import read_safetensors
+from recast.logs import DrivingLog, Trajectory
+from recast.scene.actor import Deforming, SceneActor
 from recast.scene.appearance import Appearance
-from recast.scene.bodies import Skinning
-from recast.scene.deformation import Deformation
+from recast.scene.deformation import MOST_LAYERS, Deformation, DeformationNetwork, Skinning
 from recast.scene.sky import SkyMap
-from recast.scene.street_scene import Deforming, SceneActor, StreetScene
-from recast.scene.tensor_file import (
-    BODIES_FILE,
-    DEFORMATION_FILE,
-    read_bodies_file,
-    read_deformations,
-    read_tensors,
-    write_bodies,
-    write_deformations,
-    write_tensors,
-)
+from recast.scene.street_scene import StreetScene
 from recast.splats import CLASSIC, Gaussians, LowPass, read_ply, write_ply
 
+HEADER = "recast"
+DEFORMATION_FILE = "deformation.safetensors"
+DEFORMATION_VERSION = 1
+BODIES_FILE = "bodies.safetensors"
+BODIES_VERSION = 1
+_BODY_TYPES = {
+    "weights": torch.float32,
+    "joints": torch.float64,
+    "parents": torch.int64,
+    "timestamps_us": torch.int64,
+    "rotations": torch.float64,
+    "translations": torch.float64,
+}
 SCENE_VERSION = 1
 SCENE_FILE = "scene.json"
 TENSOR_FILE = "scene.safetensors"
 _MEND = "train the scene again, or use the release that wrote it"
+
+
+def write_tensors(path: Path, tensors: Mapping[str, Tensor], header: Mapping[str, Any]) -> None:
+    """Write tensors and header atomically; InputError if the disk refuses."""
+    plain: dict[str, Tensor] = {}
+    held: set[int] = set()
+    for name, tensor in tensors.items():
+        # The format takes no two tensors of one memory: such are copied, the large ones are none.
+        one = tensor.detach().cpu().contiguous()
+        start = one.untyped_storage().data_ptr()
+        plain[name] = one.clone() if start in held else one
+        held.add(start)
+    write_bytes(path, save(plain, metadata={HEADER: json.dumps(header)}))
+
+
+def read_tensors(path: Path) -> tuple[dict[str, Tensor], dict[str, Any]]:
+    """Tensors and header of a file; InputError if missing, cut short, or not ours."""
+    tensors, texts = read_safetensors(path, "tensors", "write it again")
+    header = parse_json(path, texts.get(HEADER, ""))
+    if not isinstance(header, dict):
+        raise InputError(path, "header", "is not an object", "write it again")
+    return tensors, header
+
+
+def write_deformations(path: Path, deformations: Mapping[str, Deformation]) -> None:
+    """Write the deformations of a scene's actors, by track id.
+
+    Raises:
+        ValueError: they do not share one network.
+        InputError: the disk refuses.
+    """
+    network = next(iter(deformations.values())).network
+    tensors: dict[str, Tensor] = {f"layer/{k}": layer for k, layer in enumerate(network.layers)}
+    for track_id, own in deformations.items():
+        if own.network is not network:
+            raise ValueError(f"actors[{track_id!r}].deformation: has a network of its own")
+        tensors[f"code/{track_id}"] = own.code
+        tensors[f"reach/{track_id}"] = torch.tensor([own.reach], dtype=torch.float64)
+    header = {
+        "version": DEFORMATION_VERSION,
+        "layers": len(network.layers),
+        "bands": network.bands,
+        "time_bands": network.time_bands,
+        "actors": list(deformations),
+    }
+    write_tensors(path, tensors, header)
+
+
+def read_deformations(path: Path, mend: str) -> dict[str, Deformation]:
+    """Read `write_deformations`'s file.
+
+    Raises:
+        InputError: missing, damaged, of another version, or with a tensor that is missing, of
+            another shape or kind, or has values that no network has.
+    """
+    tensors, header = read_tensors(path)
+    names = _names(path, header, DEFORMATION_VERSION, mend)
+    counts = [header.get(name) for name in ("layers", "bands", "time_bands")]
+    if not all(type(count) is int and count >= 0 for count in counts):
+        raise InputError(path, "header", "names no layers or bands", mend)
+    layers, bands, time_bands = (int(count) for count in counts if count is not None)
+    wanted = {f"layer/{k}" for k in range(min(layers, MOST_LAYERS + 2))}
+    _require(path, tensors, wanted | _of(names, ("code", "reach")), mend)
+    network = DeformationNetwork(
+        tuple(tensors[f"layer/{k}"] for k in range(len(wanted))), bands, time_bands
+    )
+    fault = network.fault()
+    if fault is not None:
+        raise InputError(path, "network", fault, mend)
+    found: dict[str, Deformation] = {}
+    for name in names:
+        code, reach = tensors[f"code/{name}"], tensors[f"reach/{name}"]
+        if code.dtype != torch.float32 or reach.dtype != torch.float64 or reach.numel() != 1:
+            raise InputError(path, f"code/{name}", "or its reach is of another kind", mend)
+        own = Deformation(network, code, float(reach))
+        try:
+            own.validate(name, 0)
+        except ValueError as error:
+            raise InputError(path, "actors", str(error), mend) from None
+        found[name] = own
+    return found
+
+
+def write_bodies(path: Path, bodies: Mapping[str, Skinning]) -> None:
+    """Write the skinnings of a scene's bodies, by track id; InputError if the disk refuses."""
+    tensors = {
+        f"{part}/{track_id}": torch.as_tensor(getattr(body, part))
+        for track_id, body in bodies.items()
+        for part in _BODY_TYPES
+    }
+    write_tensors(path, tensors, {"version": BODIES_VERSION, "actors": list(bodies)})
+
+
+def read_bodies_file(path: Path, mend: str) -> dict[str, Skinning]:
+    """Read `write_bodies`'s file; the scene that it belongs to checks shapes and values.
+
+    Raises:
+        InputError: missing, damaged, of another version, or with a tensor that is missing or of
+            another kind.
+    """
+    tensors, header = read_tensors(path)
+    names = _names(path, header, BODIES_VERSION, mend)
+    _require(path, tensors, _of(names, tuple(_BODY_TYPES)), mend)
+    for name, tensor in tensors.items():
+        wanted = _BODY_TYPES[name.partition("/")[0]]
+        if tensor.dtype != wanted:
+            raise InputError(path, name, f"is of {tensor.dtype}, not {wanted}", mend)
+    return {
+        name: Skinning(
+            tensors[f"weights/{name}"],
+            *(tensors[f"{part}/{name}"].numpy() for part in tuple(_BODY_TYPES)[1:]),
+        )
+        for name in names
+    }
+
+
+def _names(path: Path, header: Mapping[str, Any], version: int, mend: str) -> list[str]:
+    """Track ids in a header of this version."""
+    if header.get("version") != version:
+        problem = f"is {header.get('version')!r}, this recast reads {version}"
+        raise InputError(path, "version", problem, mend)
+    names = header.get("actors")
+    if not isinstance(names, list) or not names or not all(isinstance(n, str) for n in names):
+        raise InputError(path, "header", "names no actors", mend)
+    return names
+
+
+def _of(names: list[str], parts: tuple[str, ...]) -> set[str]:
+    return {f"{part}/{name}" for name in names for part in parts}
+
+
+def _require(path: Path, tensors: Mapping[str, Tensor], wanted: set[str], mend: str) -> None:
+    """Raise InputError unless there are just these tensors."""
+    wrong = sorted(tensors.keys() ^ wanted)
+    if wrong:
+        problem = "is not expected" if wrong[0] in tensors else "is missing"
+        raise InputError(path, wrong[0], problem, mend)
 
 
 class SceneActorRecord(Record):
@@ -238,3 +383,28 @@ def _triple(values: NDArray[np.float64]) -> tuple[float, float, float]:
 
 def _read_part(folder: Path, name: str, field: str) -> Gaussians:
     return read_ply(member(folder, name, folder / SCENE_FILE, field))
+
+
+def log_fingerprint(log: DrivingLog) -> str:
+    """SHA-256 over everything of a log but images and points, in hexadecimal.
+
+    Times, poses, intrinsics and boxes tell drives and imports apart; hashing all pixels would take
+    longer than starting over.
+    """
+    digest = hashlib.sha256(log.name.encode())
+
+    def add(name: str, *arrays: object) -> None:
+        digest.update(name.encode())
+        for array in arrays:
+            digest.update(np.ascontiguousarray(array).tobytes())
+
+    add("ego", log.world_from_rig.timestamps_us, log.world_from_rig.poses, log.world_offset)
+    for name, camera in log.cameras.items():
+        intrinsics = camera.camera
+        add(name, camera.timestamps_us, camera.rig_from_camera, intrinsics.matrix)
+        add("image", [intrinsics.width, intrinsics.height], intrinsics.distortion)
+    for name, lidar in log.lidars.items():
+        add(name, lidar.timestamps_us, lidar.rig_from_lidar)
+    for name, track in log.tracks.items():
+        add(name, track.size, track.trajectory.timestamps_us, track.trajectory.poses)
+    return digest.hexdigest()

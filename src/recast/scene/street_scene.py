@@ -9,42 +9,18 @@ from typing import Protocol
 
 import numpy as np
 import torch
+from torch import Tensor
 
 from recast.arrays import Array, Int64Array
-from recast.logs import Trajectory
-from recast.logs.checks import BOX_SIDE, check_times
-from recast.scene.appearance import Appearance, share_of
-from recast.scene.dynamic import pose_at, stands
-from recast.scene.poses import corrected
+from recast.logs.checks import check_times
+from recast.scene.actor import SceneActor, check_gaussians
+from recast.scene.appearance import exposed, exposed_colours
+from recast.scene.poses import corrected, pose_at, stands
 from recast.scene.sky import SkyMap
-from recast.splats import CLASSIC, Gaussians, LowPass, concatenate
+from recast.splats import Gaussians, concatenate
 
 MOST_CORRECTED = 100.0
 """Largest learned correction of a camera, metres or radians."""
-
-
-class Lighting(Protocol):
-    """What lights an actor anew, wherever it stands; see `recast.scene.light`."""
-
-    @property
-    def shadow_room(self) -> int:
-        """Most Gaussians that the lit actor's shadow has."""
-
-    def lit(self, actor: SceneActor, pose: Array) -> SceneActor:
-        """The actor in the light of `pose` (4, 4) `world_from_actor`, its `light` taken off.
-
-        Colours and shadow are others; shapes and opacities stay.
-        """
-
-
-class Deforming(Protocol):
-    """What moves the Gaussians of an actor within its box; see `recast.scene.deformation`."""
-
-    def validate(self, where: str, count: int) -> None:
-        """Raise ValueError naming the member at fault of an actor `where` of `count` Gaussians."""
-
-    def at(self, gaussians: Gaussians, trajectory: Trajectory, timestamp_us: int) -> Gaussians:
-        """The Gaussians as they are at a time of the recording; outside of it, at its end."""
 
 
 class Insertable(Protocol):
@@ -52,79 +28,6 @@ class Insertable(Protocol):
 
     def inserted_into(self, scene: StreetScene) -> StreetScene:
         """The scene with it in the place of the actor with its track id."""
-
-
-@dataclass(frozen=True)
-class SceneActor:
-    """One moving object.
-
-    Attributes:
-        gaussians: actor-local frame (box centre, x forward, y left, z up).
-        size: (3,) length, width, height in metres.
-        trajectory: refined `world_from_actor` as logged.
-        shadow: actor-local Gaussians on the ground, drawn with the actor, or None.
-        appearance: how the Gaussians' colours change over the trajectory's time, or None.
-        deformation: how the Gaussians move within the box over the trajectory's time, or None for a
-            rigid actor.
-        low_pass: the filter that the Gaussians were made for, see `recast.splats.refiltered`.
-        light: what lights it anew where it stands, or None for an actor that keeps the light it was
-            recorded in. Not saved with a scene.
-    """
-
-    track_id: str
-    gaussians: Gaussians
-    size: Array
-    trajectory: Trajectory
-    shadow: Gaussians | None = None
-    appearance: Appearance | None = None
-    deformation: Deforming | None = None
-    low_pass: LowPass = CLASSIC
-    light: Lighting | None = None
-
-    def validate(self, where: str) -> None:
-        """Raise ValueError naming the member of `where` at fault."""
-        least, most = BOX_SIDE
-        if self.size.shape != (3,) or not np.all((self.size >= least) & (self.size <= most)):
-            raise ValueError(f"{where}.size: three metres of {least} to {most}, got {self.size}")
-        self.trajectory.validate(where)
-        _validate(f"{where}.gaussians", self.gaussians)
-        if self.shadow is not None:
-            _validate(f"{where}.shadow", self.shadow)
-        if self.appearance is not None:
-            self.appearance.validate(where, len(self.gaussians))
-        if self.deformation is not None:
-            self.deformation.validate(f"{where}.deformation", len(self.gaussians))
-
-    def coloured_at(self, timestamp_us: int) -> SceneActor:
-        """The actor with the colours that it had at a time of the recording."""
-        if self.appearance is None:
-            return self
-        share = share_of(self.trajectory, timestamp_us)
-        return replace(self, gaussians=self.appearance.at(self.gaussians, share), appearance=None)
-
-    def shaped_at(self, timestamp_us: int | None) -> SceneActor:
-        """The actor with the shape that it had at a time of the recording, and rigid.
-
-        Args:
-            timestamp_us: time of the recording; None for the middle of the actor's time.
-        """
-        if self.deformation is None:
-            return self
-        first, last = (int(time) for time in self.trajectory.timestamps_us[[0, -1]])
-        time = (first + last) // 2 if timestamp_us is None else timestamp_us
-        with torch.no_grad():
-            shaped = self.deformation.at(self.gaussians, self.trajectory, time)
-        return replace(self, gaussians=shaped, deformation=None)
-
-    def lit_at(self, pose: Array) -> SceneActor:
-        """The actor in the light of `pose` (4, 4) `world_from_actor`."""
-        return self if self.light is None else self.light.lit(self, pose)
-
-    @property
-    def drawn(self) -> Gaussians:
-        """Gaussians and shadow together, actor-local; a deformable actor as `shaped_at(None)`."""
-        gaussians = self.shaped_at(None).gaussians
-        return gaussians if self.shadow is None else concatenate([gaussians, self.shadow])
 
 
 @dataclass(frozen=True)
@@ -152,7 +55,7 @@ class StreetScene:
 
     def validate(self) -> None:
         """Raise ValueError naming the member at fault: shape, range, order, or not finite."""
-        _validate("background", self.background)
+        check_gaussians("background", self.background)
         for track_id, actor in self.actors.items():
             actor.validate(f"actors[{track_id!r}]")
             if actor.track_id != track_id:
@@ -220,8 +123,11 @@ class StreetScene:
         """A logged camera pose (4, 4) with the learned correction at its time."""
         return corrected(camera_from_world, self.camera_corrections, camera_name, timestamp_us)
 
-
-def _validate(where: str, gaussians: Gaussians) -> None:
-    fault = gaussians.fault()
-    if fault is not None:
-        raise ValueError(f"{where}.{fault[0]}: {fault[1]}")
+    def exposed(self, affine: Tensor) -> StreetScene:
+        """The scene with the colours' transform (3, 4) in all its parts; the sky in [0, 1]."""
+        return replace(
+            self,
+            background=exposed(self.background, affine),
+            actors={name: actor.exposed(affine) for name, actor in self.actors.items()},
+            sky=SkyMap(exposed_colours(self.sky.colours, affine).clamp(0, 1)),
+        )

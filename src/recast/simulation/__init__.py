@@ -7,16 +7,39 @@ works without torch.
 from recast.simulation.actor_motion import (
     ActorMotion,
     AnyMotion,
+    BaseMotion,
+    BaseScript,
     MotionInput,
     ScriptMotion,
     StartSituation,
 )
 from recast.simulation.actors import PreparedActor, PreparedRollout, prepare
-from recast.simulation.motions import Advancing, CutIn, Idm, LoggedMotion, Oncoming, Stationary
-from recast.simulation.plan_execution import EgoController, LqrController, PerfectController
+from recast.simulation.motions import (
+    Advancing,
+    CutIn,
+    Idm,
+    LoggedMotion,
+    Oncoming,
+    Stationary,
+    TimedPath,
+)
+from recast.simulation.plan_execution import (
+    BaseController,
+    EgoController,
+    LqrController,
+    PerfectController,
+)
 from recast.simulation.planner_calls import PlannerProcess
 from recast.simulation.recorded_road import Ending, RoadSurface
-from recast.simulation.renderer import NullRenderer, SensorRenderer, camera_mount, camera_mounts
+from recast.simulation.renderer import (
+    BaseRenderer,
+    MountedRenderer,
+    NullRenderer,
+    RendererAround,
+    SensorRenderer,
+    camera_mount,
+    camera_mounts,
+)
 from recast.simulation.rollout import (
     EGO_COLUMNS,
     PATH_COLUMNS,
@@ -47,7 +70,6 @@ from recast.simulation.scenario_names import MOTIONS, motion, parse_motions, sce
 from recast.simulation.setup import RolloutSettings, RolloutSetup
 from recast.simulation.simulator import Observation, Simulator, Timings
 from recast.simulation.state import ControlledActor, RolloutOrigin, SimActor, SimState
-from recast.simulation.timed_path import TimedPath
 
 __all__ = [
     "EGO_COLUMNS",
@@ -56,6 +78,10 @@ __all__ = [
     "ActorMotion",
     "Advancing",
     "AnyMotion",
+    "BaseController",
+    "BaseMotion",
+    "BaseRenderer",
+    "BaseScript",
     "BuiltInMotion",
     "ControlledActor",
     "CutIn",
@@ -65,6 +91,7 @@ __all__ = [
     "LoggedMotion",
     "LqrController",
     "MotionInput",
+    "MountedRenderer",
     "NullRenderer",
     "Observation",
     "OnFrame",
@@ -73,6 +100,7 @@ __all__ = [
     "PlannerProcess",
     "PreparedActor",
     "PreparedRollout",
+    "RendererAround",
     "RoadSurface",
     "Rollout",
     "RolloutFailure",

@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 import math
+from abc import abstractmethod
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Protocol, TypeGuard
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from recast.arrays import Array
 from recast.core.errors import InputError
+from recast.core.foreign import BasePart, lacks, whole
 from recast.geometry import Polyline, boxes, se2
 from recast.logs.hdmap import HdMap
 from recast.logs.types import DrivingLog, Track, Trajectory
@@ -291,10 +293,8 @@ class NamedMotion(Protocol):
 class ActorMotion(NamedMotion, Protocol):
     """Moves a controlled actor step by step. Implement this for a motion that reacts.
 
-    States are (4,): x, y, heading of the box centre in the world, speed >= 0; SI units.
-
-    It may also have `follows_log`, true if the actor stays on its own logged path: the rollout is
-    then not cut where that path leaves the ego's recorded road.
+    States are (4,): x, y, heading of the box centre in the world, speed >= 0; SI units. These
+    members are enough; `BaseMotion` has all others, with their defaults.
     """
 
     def start(self, situation: StartSituation) -> Array:
@@ -305,14 +305,38 @@ class ActorMotion(NamedMotion, Protocol):
 
 
 class ScriptMotion(NamedMotion, Protocol):
-    """A motion that is known at the start, since it does not react."""
+    """A motion that is known at the start, since it does not react; see also `BaseScript`."""
 
     def script(self, start: StartSituation, steps: int, dt: float) -> Array:
         """States (steps + 1, 4): x, y, heading of the box centre, speed >= 0; world, SI units."""
 
 
-class Scripted:
-    """Base of scripted motions: `start` and `step` give what `script` says."""
+class BaseMotion(BasePart):
+    """An `ActorMotion` with all members that are asked for: derive yours from it.
+
+    Attributes:
+        name, setting: see `NamedMotion`.
+        description: one sentence for people, or "".
+        follows_log: whether the actor stays on its own logged path: the rollout is then not cut
+            where that path leaves the ego's recorded road.
+    """
+
+    name: str
+    setting: str
+    description: str = ""
+    follows_log: bool = False
+
+    @abstractmethod
+    def start(self, situation: StartSituation) -> Array:
+        """The state (4,) at the start."""
+
+    @abstractmethod
+    def step(self, state: MotionInput, dt: float) -> Array:
+        """The state (4,) `dt` seconds after `state`."""
+
+
+class BaseScript(BaseMotion):
+    """A `ScriptMotion` with all members: `start` and `step` give what `script` says."""
 
     def start(self, situation: StartSituation) -> Array:
         """The first state (4,) of the script."""
@@ -322,27 +346,32 @@ class Scripted:
         """The state (4,) after `state.step`, whatever the others do."""
         return self.script(state.situation, state.steps, dt)[state.step + 1]
 
+    @abstractmethod
     def script(self, start: StartSituation, steps: int, dt: float) -> Array:
         """States (steps + 1, 4), see `ScriptMotion`."""
-        raise NotImplementedError
 
 
 AnyMotion = ActorMotion | ScriptMotion
 """What a controlled actor may be given."""
 
 
-def is_scripted(motion: object) -> TypeGuard[ScriptMotion]:
-    """Whether a motion is known at the start."""
-    return callable(getattr(motion, "script", None))
+def whole_motion(motion: AnyMotion, where: str = "motion") -> BaseMotion:
+    """The motion with all members, see `recast.core.foreign.whole`; a `BaseScript` if it is known
+    at the start.
 
+    Args:
+        where: whose motion it is, for errors.
 
-def is_motion(value: object) -> TypeGuard[AnyMotion]:
-    """Whether a value has what a motion needs."""
-    named = all(isinstance(getattr(value, name, None), str) for name in ("name", "setting"))
-    steps = all(callable(getattr(value, name, None)) for name in ("start", "step"))
-    return named and (steps or is_scripted(value))
-
-
-def follows_log(motion: object) -> bool:
-    """Whether a motion stays on the actor's own logged path."""
-    return bool(getattr(motion, "follows_log", False))
+    Raises:
+        InputError: it is no motion, or a member is of the wrong kind.
+    """
+    if not lacks(motion, BaseScript):
+        return whole(motion, BaseScript)
+    if not lacks(motion, BaseMotion):
+        return whole(motion, BaseMotion)
+    raise InputError(
+        where,
+        type(motion).__name__,
+        "is not a motion: a motion has name, setting, and start and step, or script",
+        "give a motion, such as motion('cut-in'); see docs/scenarios.md#your-own-in-python",
+    )

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import cast
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -16,7 +15,7 @@ from recast.dynamics import state as ego
 from recast.geometry import se2
 from recast.logs.motion import logged_velocity
 from recast.planning import ActorState, ReferenceRoute
-from recast.simulation.actor_motion import ActorMotion, MotionInput, RoadUsers
+from recast.simulation.actor_motion import MotionInput, RoadUsers
 from recast.simulation.recorded_road import SMOOTHING, RoadSurface, refuse_if_too_short, who
 from recast.simulation.rollout import ego_centre
 from recast.simulation.rollout_start import RolloutStart, StartingActor, start_rollout
@@ -111,10 +110,9 @@ class ControlledActors:
         return None
 
     def _moved(self, actor: StartingActor, now: MotionInput) -> Array:
-        motion = cast(ActorMotion, actor.motion)  # those with a script do not come here
         with actor.code.call(f"step {now.step}"):
-            value = motion.step(read_only(now), self._setup.dt)
-        return checked_state(motion, value, now.step + 1, self._setup.log.name)
+            value = actor.motion.step(read_only(now), self._setup.dt)
+        return checked_state(actor.motion, value, now.step + 1, self._setup.log.name)
 
     def _append(self, moved: Mapping[str, Array]) -> None:
         for track_id, state in moved.items():

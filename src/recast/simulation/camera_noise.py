@@ -5,14 +5,13 @@ A planner whose verdict changes under them cannot agree better with the truth th
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Literal
 
 import numpy as np
 
 from recast.arrays import Image
-from recast.cameras import CameraMount
-from recast.simulation.renderer import SensorRenderer
+from recast.simulation.renderer import RendererAround, SensorRenderer
 from recast.simulation.state import SimState
 from recast.synthetic.rig import sensor_number
 
@@ -20,7 +19,7 @@ ImageNoise = Literal["grey", "jitter"]
 _STREAM = 702
 
 
-class NoisyRenderer:
+class NoisyRenderer(RendererAround):
     """Images of another renderer, disturbed.
 
     Args:
@@ -30,16 +29,12 @@ class NoisyRenderer:
     """
 
     def __init__(self, renderer: SensorRenderer, noise: ImageNoise, seed: int) -> None:
-        self._renderer, self._noise, self._seed = renderer, noise, seed
-
-    @property
-    def mounts(self) -> Mapping[str, CameraMount]:
-        """Cameras by name."""
-        return self._renderer.mounts
+        super().__init__(renderer)
+        self._noise, self._seed = noise, seed
 
     def render(self, state: SimState, camera_names: Sequence[str]) -> dict[str, Image]:
         """Images of the named cameras; raises what the inner renderer raises."""
-        images = self._renderer.render(state, camera_names)
+        images = self.part.render(state, camera_names)
         if self._noise == "jitter":
             return {name: self._jittered(name, image) for name, image in images.items()}
         return {
@@ -49,7 +44,7 @@ class NoisyRenderer:
 
     def _jittered(self, name: str, image: Image) -> Image:
         """Of a camera with a window, what lies in it."""
-        mount = self._renderer.mounts[name]
+        mount = self.mounts[name]
         return mount.framed(jittered(mount.windowed(image)))
 
     def _number(self, camera: str, step: int) -> list[int]:

@@ -3,12 +3,12 @@
 All but `Idm` are scripted from the situation at the start: the actor does not react to the ego, so
 its states are the same for every planner and every renderer. Frenet coordinates are those of the
 ego's reference route; gaps are from bumper to bumper. Their settings are in `scenarios/*.yaml`.
-All have, besides what `ActorMotion` asks for, a `description` for people: one sentence.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from typing import Annotated
 
 import numpy as np
@@ -17,15 +17,27 @@ from numpy.typing import ArrayLike
 from recast.arrays import Array
 from recast.dynamics import IdmParameters, free_road_step, idm_acceleration
 from recast.geometry import se2
+from recast.logs.checks import WORLD_REACH
 from recast.logs.motion import logged_velocity
 from recast.planning import ReferenceRoute
-from recast.simulation.actor_motion import MotionInput, Quantity, Scripted, StartSituation
+from recast.simulation.actor_motion import (
+    BaseMotion,
+    BaseScript,
+    MotionInput,
+    Quantity,
+    Rows,
+    StartSituation,
+)
 
 _Gap = Annotated[float, Quantity("m", -50.0, 500.0)]
 """Less than 0: beside or behind the ego."""
 _Share = Annotated[float, Quantity("of v_r", 0.0, 5.0)]
 _Lateral = Annotated[float, Quantity("m", -20.0, 20.0)]
 _Seconds = Annotated[float, Quantity("s", 0.0, 60.0)]
+_PLACE = Quantity("m", -WORLD_REACH, WORLD_REACH)
+_PATH = Rows(
+    Quantity("s", -1000.0, 1000.0), _PLACE, _PLACE, Quantity("rad", -10.0, 10.0), least=2
+)  # fmt: skip
 DRIVER = IdmParameters(max_acceleration=1.5, max_deceleration=2.5, emergency_deceleration=8.0)
 """Accelerations of the driver; gap and headway are the motion's."""
 _CORRIDOR_MARGIN = 0.3
@@ -33,7 +45,7 @@ _CORRIDOR_MARGIN = 0.3
 
 
 @dataclass(frozen=True)
-class CutIn(Scripted):
+class CutIn(BaseScript):
     """Drives beside and ahead of the ego, then moves into its lane while slowing down.
 
     Attributes:
@@ -78,7 +90,7 @@ class CutIn(Scripted):
 
 
 @dataclass(frozen=True)
-class Oncoming(Scripted):
+class Oncoming(BaseScript):
     """Comes towards the ego in its lane.
 
     Attributes:
@@ -107,7 +119,7 @@ class Oncoming(Scripted):
 
 
 @dataclass(frozen=True)
-class Stationary(Scripted):
+class Stationary(BaseScript):
     """Stands in the ego's lane, facing it.
 
     The gap is the larger of `min_gap` and what the ego needs to stop, v^2 / `braking` + `reserve`.
@@ -138,7 +150,7 @@ class Stationary(Scripted):
 
 
 @dataclass(frozen=True)
-class Advancing(Scripted):
+class Advancing(BaseScript):
     """Drives slowly in the next lane, so that the ego passes it.
 
     Attributes:
@@ -160,17 +172,13 @@ class Advancing(Scripted):
 
 
 @dataclass(frozen=True)
-class LoggedMotion(Scripted):
+class LoggedMotion(BaseScript):
     """Drives as logged; after its last label it keeps speed and heading."""
 
+    follows_log = True
     setting: str = "a"
     name: str = "log-replay"
     description: str = ""
-
-    @property
-    def follows_log(self) -> bool:
-        """True: the actor was recorded wherever it is."""
-        return True
 
     def script(self, start: StartSituation, steps: int, dt: float) -> Array:
         """Logged poses (steps + 1, 4); speeds are differences over one step to each side.
@@ -189,6 +197,48 @@ class LoggedMotion(Scripted):
         poses[late, :2] += velocity[late] * ((times - logged)[late] * 1e-6)[:, None]
         poses[:, 2] = se2.wrap_angle(poses[:, 2])
         return np.concatenate([poses, np.linalg.norm(velocity, axis=1)[:, None]], axis=1)
+
+
+@dataclass(frozen=True)
+class TimedPath(BaseScript):
+    """Is at given places at given times, whatever the road and the ego do.
+
+    Positions and headings are linear between two rows. Before the first row and after the last one
+    the velocity stays and the heading too.
+
+    Attributes:
+        path: rows of seconds after the start of the rollout, x, y and heading of the box centre in
+            the world of the log.
+        start_after: seconds after the log's first ego pose at which a rollout with this target
+            starts; None for the usual start.
+
+    Raises:
+        ValueError: the times do not increase.
+    """
+
+    setting: str
+    path: Annotated[tuple[tuple[float, float, float, float], ...], _PATH]
+    start_after: Annotated[float | None, Quantity("s", 0.0, 100_000.0)] = None
+    name: str = "timed-path"
+    description: str = ""
+
+    def __post_init__(self) -> None:
+        times = [row[0] for row in self.path]
+        if any(later <= earlier for earlier, later in pairwise(times)):
+            raise ValueError("path: its times do not increase; give each row a later time")
+
+    def script(self, start: StartSituation, steps: int, dt: float) -> Array:
+        """States (steps + 1, 4); the speed is that of the row before, or of the first two rows."""
+        rows = np.array(self.path, np.float64)
+        times, places = rows[:, 0], rows[:, 1:3]
+        velocity = np.diff(places, axis=0) / np.diff(times)[:, None]
+        now = dt * np.arange(steps + 1)
+        segment = np.clip(np.searchsorted(times, now, "right") - 1, 0, len(velocity) - 1)
+        since = (now - times[segment])[:, None]
+        xy = places[segment] + velocity[segment] * since
+        heading = np.interp(now, times, np.unwrap(rows[:, 3]))
+        speed = np.linalg.norm(velocity[segment], axis=1)
+        return np.concatenate([xy, se2.wrap_angle(heading)[:, None], speed[:, None]], axis=1)
 
 
 def _faced(pose: Array, heading: float) -> Array:
@@ -227,7 +277,7 @@ def _states(poses: Array, speed: ArrayLike) -> Array:
 
 
 @dataclass(frozen=True)
-class Idm:
+class Idm(BaseMotion):
     """Follows a path at a desired speed and keeps its distance from whoever is ahead on it.
 
     The path is the actor's own logged one, at whose place at the start it begins with its logged
@@ -266,7 +316,7 @@ class Idm:
             raise ValueError(f"headway: is {self.headway}; give 0 or more")
 
     @property
-    def follows_log(self) -> bool:
+    def follows_log(self) -> bool:  # type: ignore[override]
         """Whether the path is the actor's own."""
         return self.gap is None
 

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from abc import abstractmethod
 from dataclasses import dataclass
 from typing import Protocol
 
 from recast.arrays import Array
+from recast.core.foreign import BasePart
 from recast.dynamics import (
     PRESETS,
     TrackerConfig,
@@ -15,10 +17,14 @@ from recast.dynamics import (
     track,
 )
 from recast.dynamics import state as ego
+from recast.planning import PlanningContext
 
 
 class EgoController(Protocol):
-    """Executes the first waypoints of a plan; what it is given is read-only."""
+    """Executes the first waypoints of a plan; what it is given is read-only.
+
+    This method is enough; `BaseController` has all others, with their defaults.
+    """
 
     def execute(
         self, state: Array, waypoints: Array, steps: int, vehicle: VehicleParameters, dt: float
@@ -33,8 +39,21 @@ class EgoController(Protocol):
         """
 
 
+class BaseController(BasePart):
+    """An `EgoController` with all members that are asked for: derive yours from it."""
+
+    def reset(self, context: PlanningContext) -> None:
+        """Forget the last rollout and prepare for the next."""
+
+    @abstractmethod
+    def execute(
+        self, state: Array, waypoints: Array, steps: int, vehicle: VehicleParameters, dt: float
+    ) -> Array:
+        """Ego states (steps + 1, 11), see `EgoController`."""
+
+
 @dataclass(frozen=True)
-class LqrController:
+class LqrController(BaseController):
     """nuPlan's LQR tracker and kinematic bicycle with actuator lag.
 
     The paper says that the ego controller executes the first K waypoints, not which controller it
@@ -52,7 +71,7 @@ class LqrController:
 
 
 @dataclass(frozen=True)
-class PerfectController:
+class PerfectController(BaseController):
     """Puts the ego onto the waypoints: shows what the plans alone would do."""
 
     def execute(

@@ -22,15 +22,15 @@ import numpy as np
 from recast.core import diagnostics
 from recast.core.diagnostics import Diagnostics
 from recast.core.errors import InputError
-from recast.core.foreign import ForeignCode, read_only
+from recast.core.foreign import ForeignCode, read_only, whole
 from recast.core.workers import Closing, end_with_parent, use_threads
 from recast.planning import (
+    BasePlanner,
     Plan,
     Planner,
     PlannerAround,
     PlannerInput,
     PlanningContext,
-    whole_planner,
 )
 
 _GRACE = 2.0
@@ -43,7 +43,7 @@ class PlannerCalls:
     """Calls of a planner in this process; what it is given is read-only, its plans are copies."""
 
     def __init__(self, planner: Planner) -> None:
-        self.planner = whole_planner(planner)
+        self.planner = whole(planner, BasePlanner)
         self._guard = ForeignCode(f"planner {planner.name}")
 
     def reset(self, context: PlanningContext) -> None:
@@ -155,7 +155,7 @@ class PlannerProcess(Closing, PlannerAround):
 
     def _start(self) -> None:
         try:
-            made = bytes(ForkingPickler.dumps(self.planner if self._make is None else self._make))
+            made = bytes(ForkingPickler.dumps(self.part if self._make is None else self._make))
         except Exception as error:  # of pickle, and of the planner's own methods for it
             raise self._unsendable(error) from error
         context = multiprocessing.get_context("spawn")
@@ -190,7 +190,7 @@ class PlannerProcess(Closing, PlannerAround):
         mend = "give the planner as package.module:attribute, or remove the time limit"
         return InputError(f"planner {self.name}", "time limit", problem, mend)
 
-    def _ask(self, method: str, given: object = None, limit_s: float | None = None) -> Any:
+    def _ask(self, method: str, given: Any = None, limit_s: float | None = None) -> Any:
         connection = self._connection
         assert connection is not None
         try:
@@ -198,8 +198,8 @@ class PlannerProcess(Closing, PlannerAround):
             if limit_s is not None and not connection.poll(min(limit_s, _LONGEST)):
                 self.close()
                 raise ValueError(
-                    f"planner {self.name}: gave no plan at step {getattr(given, 'step', 0)} within "
-                    f"the limit of {limit_s:g} s"
+                    f"planner {self.name}: gave no plan at step {given.step} within the "
+                    f"limit of {limit_s:g} s"
                 )
             error, answer = connection.recv()
         except (EOFError, OSError):

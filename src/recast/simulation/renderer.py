@@ -2,20 +2,24 @@
 
 from __future__ import annotations
 
+from abc import abstractmethod
 from collections.abc import Mapping, Sequence
-from typing import Protocol
+from typing import Any, Protocol, Self
 
 import numpy as np
 
 from recast.arrays import Array, Image
 from recast.cameras import CameraMount, PinholeCamera
 from recast.core.errors import InputError
+from recast.core.foreign import Around, BasePart, whole
 from recast.logs.types import DrivingLog
 from recast.simulation.state import SimState
 
 
 class SensorRenderer(Protocol):
-    """Renders cameras.
+    """Renders cameras; its images depend on nothing but the state.
+
+    These members are enough; `BaseRenderer` has all others, with their defaults.
 
     Attributes:
         mounts: the cameras it can render, by name, as the images have them.
@@ -61,7 +65,43 @@ def camera_mount(camera: PinholeCamera, rig_from_camera: Array, scale: float = 1
     return CameraMount(camera.rectified().resized(*size), rig_from_camera)
 
 
-class MountedRenderer:
+class BaseRenderer(BasePart):
+    """A `SensorRenderer` with all members that are asked for: derive yours from it."""
+
+    @property
+    @abstractmethod
+    def mounts(self) -> Mapping[str, CameraMount]:
+        """Cameras by name."""
+
+    @abstractmethod
+    def render(self, state: SimState, camera_names: Sequence[str]) -> dict[str, Image]:
+        """Images (height, width, 3) uint8 RGB of the named cameras at `state`."""
+
+    def close(self) -> None:
+        """End processes and connections that it holds."""
+
+    def __deepcopy__(self, memo: dict[int, Any]) -> Self:
+        """Itself: copies of a simulation share one renderer, as its images depend on the state."""
+        return self
+
+
+class RendererAround(Around, BaseRenderer):
+    """Base of renderers that change the images of another one.
+
+    Args:
+        renderer: the other one, of any class.
+    """
+
+    def __init__(self, renderer: SensorRenderer) -> None:
+        super().__init__(whole(renderer, BaseRenderer))
+
+    @property
+    def mounts(self) -> Mapping[str, CameraMount]:
+        """Cameras by name."""
+        return self.part.mounts
+
+
+class MountedRenderer(BaseRenderer):
     """Base of renderers: the cameras that they were given."""
 
     def __init__(self, mounts: Mapping[str, CameraMount]) -> None:

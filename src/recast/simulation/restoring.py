@@ -2,25 +2,26 @@
 
 from __future__ import annotations
 
+from abc import abstractmethod
 from collections.abc import Mapping, Sequence
+from copy import deepcopy
 from os import PathLike
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 
 from recast.arrays import Image
-from recast.cameras import CameraMount
 from recast.core.errors import InputError
-from recast.core.foreign import ForeignCode, read_only
+from recast.core.foreign import BasePart, ForeignCode, read_only, whole
 from recast.core.plugins import RESTORERS
-from recast.simulation.renderer import SensorRenderer
+from recast.simulation.renderer import RendererAround, SensorRenderer
 from recast.simulation.state import SimState
 
 _MEND = "return one image of the same size for each name, uint8 RGB"
 
 
 class Restorer(Protocol):
-    """Improves images.
+    """Improves images. These members are enough; `BaseRestorer` has all others.
 
     Attributes:
         name: name of the restorer, for records.
@@ -36,7 +37,17 @@ class Restorer(Protocol):
         """
 
 
-class RestoringRenderer:
+class BaseRestorer(BasePart):
+    """A `Restorer` with all members that are asked for: derive yours from it."""
+
+    name: str
+
+    @abstractmethod
+    def restore(self, images: Mapping[str, Image]) -> Mapping[str, Image]:
+        """Images of the same names, sizes and type, see `Restorer`."""
+
+
+class RestoringRenderer(RendererAround):
     """Images of another renderer, restored.
 
     Only what was rendered is handed over, and what no camera of the log looks at stays black (see
@@ -47,13 +58,13 @@ class RestoringRenderer:
     """
 
     def __init__(self, renderer: SensorRenderer, restorer: Restorer) -> None:
-        self._renderer, self._restorer = renderer, restorer
-        self.restored_by = restorer.name
+        super().__init__(renderer)
+        self._restorer = whole(restorer, BaseRestorer)
+        self.restored_by = self._restorer.name
 
-    @property
-    def mounts(self) -> Mapping[str, CameraMount]:
-        """Cameras by name."""
-        return self._renderer.mounts
+    def __deepcopy__(self, memo: dict[int, Any]) -> RestoringRenderer:
+        """One with a restorer of its own in the same state: restorers may remember images."""
+        return RestoringRenderer(deepcopy(self.part, memo), deepcopy(self._restorer, memo))
 
     def render(self, state: SimState, camera_names: Sequence[str]) -> dict[str, Image]:
         """Restored images of the named cameras; raises what renderer and restorer raise.
@@ -61,7 +72,7 @@ class RestoringRenderer:
         Raises:
             InputError: the restorer leaves out an image, or returns one of another size or type.
         """
-        rendered = self._renderer.render(state, camera_names)
+        rendered = self.part.render(state, camera_names)
         if not rendered:
             return rendered
         parts = {name: self.mounts[name].windowed(image) for name, image in rendered.items()}
@@ -82,8 +93,8 @@ class RestoringRenderer:
         return framed if mount.seen is None else framed * mount.seen[..., None]
 
 
-def make_restorer(restorer: str | PathLike[str] | Restorer) -> Restorer:
-    """Make a restorer, or return the one given.
+def make_restorer(restorer: str | PathLike[str] | Restorer) -> BaseRestorer:
+    """Make a restorer, or return the one given, with all members that it lacks.
 
     Args:
         restorer: "harmonizer:HOST:PORT"; or the name of an installed one; or
@@ -93,5 +104,4 @@ def make_restorer(restorer: str | PathLike[str] | Restorer) -> Restorer:
     Raises:
         InputError: it is none of these.
     """
-    made: Restorer = RESTORERS.resolve(restorer)
-    return made
+    return whole(RESTORERS.resolve(restorer), BaseRestorer)

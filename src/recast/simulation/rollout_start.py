@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import cast
 
 import numpy as np
 
@@ -16,11 +15,9 @@ from recast.geometry.polyline import REACH
 from recast.logs.types import Track
 from recast.planning import ReferenceRoute
 from recast.simulation.actor_motion import (
-    ActorMotion,
-    AnyMotion,
+    BaseMotion,
+    BaseScript,
     StartSituation,
-    follows_log,
-    is_scripted,
     neighbour_lateral,
 )
 from recast.simulation.recorded_road import (
@@ -62,7 +59,7 @@ class StartingActor:
     """
 
     track: Track
-    motion: AnyMotion
+    motion: BaseMotion
     situation: StartSituation
     road: RecordedRoad
     states: Array
@@ -72,7 +69,7 @@ class StartingActor:
     @property
     def reacts(self) -> bool:
         """Whether it has no script."""
-        return not is_scripted(self.motion)
+        return not isinstance(self.motion, BaseScript)
 
 
 @dataclass(frozen=True)
@@ -177,20 +174,19 @@ def _along(route: ReferenceRoute, path: Array, ego_s: float) -> Array:
 
 
 def _begin(
-    setup: RolloutSetup, motion: AnyMotion, track: Track, target: StartSituation
+    setup: RolloutSetup, motion: BaseMotion, track: Track, target: StartSituation
 ) -> StartingActor:
     situation = read_only(
         replace(target, actor_size=track.size, track_id=track.track_id, trajectory=track.trajectory)
     )
     code = ForeignCode(f"motion {motion.name}", target.seed, motion)
     with code.call("start"):
-        if is_scripted(motion):
+        if isinstance(motion, BaseScript):
             # In full: a motion must not depend on where it is cut.
             states = checked_script(motion, situation, setup.steps, setup.dt, setup.log.name)
         else:
-            reacting = cast(ActorMotion, motion)
-            states = checked_state(reacting, reacting.start(situation), 0, setup.log.name)[None]
-    own = track.trajectory.poses[:, :2, 3] if follows_log(motion) else None
+            states = checked_state(motion, motion.start(situation), 0, setup.log.name)[None]
+    own = track.trajectory.poses[:, :2, 3] if motion.follows_log else None
     road = RecordedRoad(situation.route, setup.road_margin, own)
     return StartingActor(track, motion, situation, road, states, np.zeros((0, 4, 4)), code)
 

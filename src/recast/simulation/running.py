@@ -10,15 +10,11 @@ from dataclasses import replace
 import numpy as np
 
 from recast.arrays import Array, Image
+from recast.core.foreign import whole
 from recast.dynamics import state as ego
 from recast.geometry import se2
 from recast.logs.types import DrivingLog, Track, Trajectory
-from recast.planning import (
-    Planner,
-    looked_at,
-    planner_cameras,
-    whole_planner,
-)
+from recast.planning import BasePlanner, Planner, looked_at, planner_cameras
 from recast.simulation.motions import Stationary
 from recast.simulation.plan_execution import EgoController, LqrController
 from recast.simulation.planner_calls import PlannerCalls, PlannerProcess, calling
@@ -62,6 +58,7 @@ def run_rollout(
         ValueError: the planner's answer is no plan or took too long, or a renderer is missing.
         Exception: whatever the planner or a motion raises.
     """
+    planner = whole(planner, BasePlanner)
     if renderer is None and (planner.needs_images or on_frame is not None):
         who = f"planner {planner.name}" if planner.needs_images else "on_frame"
         raise ValueError(f"run_rollout: {who} needs images, so give a renderer")
@@ -79,7 +76,7 @@ def run_rollout(
         cameras=seen,
         planner=planner.name,
         timings=timings,
-        replay=whole_planner(planner).replays_log,
+        replay=planner.replays_log,
     )
     with calling(planner, setup.plan_limit_s) as calls, _finishing(calls):
         calls.reset(replace(simulator.context, cameras=shown))

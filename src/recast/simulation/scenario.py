@@ -6,9 +6,16 @@ from collections.abc import Mapping
 from dataclasses import MISSING, dataclass, fields, replace
 from typing import Annotated, get_origin, get_type_hints
 
-from recast.simulation.actor_motion import AnyMotion, Quantity, Rows
-from recast.simulation.motions import Advancing, CutIn, Idm, LoggedMotion, Oncoming, Stationary
-from recast.simulation.timed_path import TimedPath
+from recast.simulation.actor_motion import AnyMotion, BaseMotion, Quantity, Rows, whole_motion
+from recast.simulation.motions import (
+    Advancing,
+    CutIn,
+    Idm,
+    LoggedMotion,
+    Oncoming,
+    Stationary,
+    TimedPath,
+)
 
 BuiltInMotion = CutIn | Oncoming | Stationary | Advancing | LoggedMotion | Idm | TimedPath
 """A motion of this package, which a scenario file can describe."""
@@ -29,6 +36,10 @@ class ScenarioActor:
     motion: AnyMotion
     replaced: bool = False
 
+    def __post_init__(self) -> None:
+        motion = whole_motion(self.motion, f"motion of track {self.track_id}")
+        object.__setattr__(self, "motion", motion)
+
 
 @dataclass(frozen=True)
 class Scenario:
@@ -48,14 +59,21 @@ class Scenario:
     actors: tuple[ScenarioActor, ...]
     description: str = ""
 
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "motion", whole_motion(self.motion))
+
 
 ScriptedMotion = BuiltInMotion | Scenario
 """What a scenario file can describe: a motion of the target alone, or with further actors."""
 
 
-def target_motion(motion: AnyMotion | Scenario) -> AnyMotion:
-    """What the target does."""
-    return motion.motion if isinstance(motion, Scenario) else motion
+def target_motion(motion: AnyMotion | Scenario) -> BaseMotion:
+    """What the target does, with all members of a motion.
+
+    Raises:
+        InputError: see `whole_motion`.
+    """
+    return whole_motion(motion.motion if isinstance(motion, Scenario) else motion)
 
 
 def further_actors(motion: AnyMotion | Scenario) -> tuple[ScenarioActor, ...]:

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from recast.core.arguments import checked
 from recast.core.errors import InputError
-from recast.simulation.actor_motion import AnyMotion, is_motion
+from recast.simulation.actor_motion import AnyMotion, BaseMotion, whole_motion
 from recast.simulation.scenario import Scenario, ScriptedMotion
 from recast.simulation.scenario_file import read_scenario
 
@@ -74,12 +74,13 @@ def parse_motions(name: str) -> tuple[ScriptedMotion, ...]:
 
 
 @checked()
-def motion(name: str | Path | AnyMotion | Scenario) -> AnyMotion | Scenario:
+def motion(name: str | Path | AnyMotion | Scenario) -> BaseMotion | Scenario:
     """What an actor shall do, by name.
 
     Args:
         name: a scenario such as "cut-in-b"; a motion such as "cut-in", which stands for its first
-            setting; the path of a scenario file, likewise; or a motion, which is returned as it is.
+            setting; the path of a scenario file, likewise; or a motion, which is returned
+            with all members that it lacks.
 
     Raises:
         InputError: no such motion, a faulty file, or an object that is no motion.
@@ -89,11 +90,4 @@ def motion(name: str | Path | AnyMotion | Scenario) -> AnyMotion | Scenario:
     """
     if isinstance(name, str | Path):
         return parse_motions(str(name))[0]
-    if isinstance(name, Scenario) or is_motion(name):
-        return name
-    raise InputError(
-        "motion",
-        type(name).__name__,
-        "is not a motion: a motion has name, setting, and start and step, or script",
-        "give a motion object; see docs/scenarios.md#your-own-in-python",
-    )
+    return name if isinstance(name, Scenario) else whole_motion(name)

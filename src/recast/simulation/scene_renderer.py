@@ -12,10 +12,11 @@ import torch
 from recast.arrays import Array, Image
 from recast.cameras import CameraMount, Lens, PinholeCamera
 from recast.core.errors import InputError
+from recast.core.foreign import whole
 from recast.geometry import se3
 from recast.scene.render import SceneRasterizer
 from recast.scene.street_scene import StreetScene
-from recast.simulation.renderer import MountedRenderer, SensorRenderer
+from recast.simulation.renderer import BaseRenderer, MountedRenderer, SensorRenderer
 from recast.simulation.state import SimState
 from recast.splats import Window
 
@@ -118,7 +119,7 @@ class LensRenderer(MountedRenderer):
 
     def __init__(self, renderer: SensorRenderer, mounts: Mapping[str, CameraMount]) -> None:
         super().__init__(mounts)
-        self._renderer = renderer
+        self._renderer = whole(renderer, BaseRenderer)
         self._parts = {name: tuple(pinhole_mounts(name, mount)) for name, mount in mounts.items()}
 
     def render(self, state: SimState, camera_names: Sequence[str]) -> dict[str, Image]:
@@ -131,6 +132,10 @@ class LensRenderer(MountedRenderer):
             image = own[0] if mount.camera.is_rectified else _lens(mount.camera).bend(*own)
             images[name] = image if mount.seen is None else image * mount.seen[..., None]
         return images
+
+    def close(self) -> None:
+        """Close the inner renderer."""
+        self._renderer.close()
 
 
 def pinhole_mounts(name: str, mount: CameraMount) -> dict[str, CameraMount]:

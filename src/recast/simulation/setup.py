@@ -7,17 +7,18 @@ import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, TypedDict, cast
+from typing import TYPE_CHECKING, TypedDict
 
 from recast.core.errors import InputError
+from recast.core.foreign import lacks, whole
 from recast.core.plugins import SCENES
 from recast.dynamics import PACIFICA, VehicleParameters
 from recast.logs.hdmap import HdMap
 from recast.logs.types import DrivingLog, Track
 from recast.planning import WAYPOINTS
-from recast.simulation.actor_motion import AnyMotion, is_motion
-from recast.simulation.plan_execution import EgoController, LqrController
-from recast.simulation.renderer import SensorRenderer, camera_mounts
+from recast.simulation.actor_motion import AnyMotion, BaseMotion, whole_motion
+from recast.simulation.plan_execution import BaseController, EgoController, LqrController
+from recast.simulation.renderer import BaseRenderer, SensorRenderer, camera_mounts
 from recast.simulation.scenario import (
     Scenario,
     further_actors,
@@ -86,14 +87,19 @@ class RolloutSetup:
     seed: int = 0
 
     def __post_init__(self) -> None:
+        if not isinstance(self.motion, Scenario):
+            object.__setattr__(self, "motion", _motion_of(self.track_id, self.motion))
+        further = {track_id: _motion_of(track_id, one) for track_id, one in self.actors.items()}
+        object.__setattr__(self, "actors", further)
+        object.__setattr__(self, "controller", whole(self.controller, BaseController))
         self._check_actors()
         for field_name, low, high in (("steps", 1, _MOST_STEPS), ("plan_every", 1, WAYPOINTS)):
             value = getattr(self, field_name)
             if not low <= value <= high:
                 raise _refused(field_name, f"is {value}", f"give {low} to {high}")
         microseconds = self.dt * 1e6
-        whole = math.isfinite(microseconds) and abs(microseconds - round(microseconds)) < 1e-3
-        if not (whole and _DT[0] <= self.dt <= _DT[1]):
+        fits = math.isfinite(microseconds) and abs(microseconds - round(microseconds)) < 1e-3
+        if not (fits and _DT[0] <= self.dt <= _DT[1]):
             mend = f"give {_DT[0]:g} to {_DT[1]:g} s, in whole microseconds"
             raise _refused("dt", f"is {self.dt} s", mend)
         if self.plan_limit_s is not None and not self.plan_limit_s > 0.0:
@@ -110,11 +116,6 @@ class RolloutSetup:
             if ids.count(track_id) > 1:
                 problem = f"track {track_id} is given twice"
                 raise _refused("actors", problem, "give each track one motion")
-        for track_id, given in self.controlled.items():
-            if not is_motion(given):
-                problem = f"the motion of track {track_id} is a {type(given).__name__}"
-                mend = "give a motion, such as recast.simulation.motion('cut-in')"
-                raise _refused("motion" if track_id == self.track_id else "actors", problem, mend)
 
     @property
     def name(self) -> str:
@@ -122,10 +123,19 @@ class RolloutSetup:
         return f"{scenario_name(self.motion)}-{self.arm}"
 
     @property
-    def controlled(self) -> dict[str, AnyMotion]:
+    def controlled(self) -> dict[str, BaseMotion]:
         """Motions of all controlled actors by track id, the target first."""
         brought = {actor.track_id: actor.motion for actor in further_actors(self.motion)}
-        return {self.track_id: target_motion(self.motion), **brought, **self.actors}
+        given = {**brought, **self.actors}
+        further = {track_id: whole_motion(one) for track_id, one in given.items()}
+        return {self.track_id: target_motion(self.motion), **further}
+
+    @property
+    def description(self) -> str:
+        """What the scenario is, for people; or ""."""
+        if isinstance(self.motion, Scenario):
+            return self.motion.description
+        return whole_motion(self.motion).description
 
     @property
     def replaced(self) -> tuple[str, ...]:
@@ -177,6 +187,10 @@ class RolloutSettings(TypedDict, total=False):
     road_margin: float
 
 
+def _motion_of(track_id: str, motion: AnyMotion) -> BaseMotion:
+    return whole_motion(motion, f"motion of track {track_id}")
+
+
 def _refused(field_name: str, problem: str, mend: str) -> InputError:
     return InputError("RolloutSetup", field_name, problem, mend)
 
@@ -216,7 +230,7 @@ def as_renderer(
     cameras: Sequence[str] | None,
     scale: float,
     device: str,
-) -> SensorRenderer | None:
+) -> BaseRenderer | None:
     """The renderer of a simulator; see `Simulator` for the arguments.
 
     Raises:
@@ -228,14 +242,15 @@ def as_renderer(
         return None
     if isinstance(scene, str | os.PathLike):
         scene = SCENES.resolve(scene)
-    if hasattr(scene, "render") and hasattr(scene, "mounts"):
-        return cast(SensorRenderer, scene)
-    if not hasattr(scene, "background") or not hasattr(scene, "actors"):
+    if not lacks(scene, BaseRenderer):
+        return whole(scene, BaseRenderer)
+    from recast.scene.street_scene import StreetScene  # needs torch
+    from recast.simulation.scene_renderer import SceneRenderer
+
+    if not isinstance(scene, StreetScene):
         problem = f"is a {type(scene).__name__}"
         mend = "give a StreetScene, a renderer with mounts and render, or None"
         raise InputError("Simulator", "scene", problem, mend)
     if not 0.0 < scale <= 4.0:
         raise InputError("Simulator", "scale", f"is {scale}", "give more than 0, at most 4")
-    from recast.simulation.scene_renderer import SceneRenderer  # needs torch
-
     return SceneRenderer(scene, camera_mounts(log, cameras, scale), device)

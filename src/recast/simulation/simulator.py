@@ -14,7 +14,7 @@ import numpy as np
 from recast.arrays import Array, Image
 from recast.core.arguments import checked
 from recast.core.errors import InputError
-from recast.core.foreign import ForeignCode, read_only
+from recast.core.foreign import ForeignCode, read_only, whole
 from recast.dynamics import EgoState
 from recast.dynamics import state as ego
 from recast.geometry import se2
@@ -32,6 +32,7 @@ from recast.simulation.history import (
     sim_state,
     timestamp_us,
 )
+from recast.simulation.plan_execution import BaseController
 from recast.simulation.planner_calls import checked_plan
 from recast.simulation.recorded_road import Ending, RecordedRoad
 from recast.simulation.renderer import SensorRenderer
@@ -149,6 +150,7 @@ class Simulator:
     ) -> None:
         self._setup, self._renderer, self.planner = setup, renderer, planner
         self.timings = timings or Timings()
+        self._controller = whole(setup.controller, BaseController)
         mounts = {} if renderer is None else renderer.mounts
         self._cameras = tuple(mounts if cameras is None else cameras)
         require_cameras(self._cameras, mounts, "Simulator")
@@ -157,8 +159,8 @@ class Simulator:
     def _begin(self, seed: int) -> None:
         self._start, self._seed = start_rollout(self._setup, seed), seed
         self._actors = ControlledActors(self._setup, self._start)
-        controller = self._setup.controller
-        self._controller = ForeignCode(f"controller {type(controller).__name__}", seed, controller)
+        who = f"controller {type(self._controller).__name__}"
+        self._guard = ForeignCode(who, seed, self._controller)
         self._road = RecordedRoad(self._start.route, self._setup.road_margin)
         self._past = logged_past(self._setup, self._start)
         self._ego: list[Array] = [self._start.first]
@@ -170,6 +172,8 @@ class Simulator:
         self._ending: Ending | None = None
         self._reason = self._start.cut_reason
         self._context = self._make_context()
+        with self._guard.call("reset"):
+            self._controller.reset(self._context)
 
     @property
     def setup(self) -> RolloutSetup:
@@ -383,8 +387,8 @@ class Simulator:
         if self._replay:
             logged = self._start.ego[self.step_number + 1 : self.step_number + 1 + steps]
             return ego.moved_left(logged, setup.start_left) if setup.start_left else logged
-        with self._controller.call(f"execute at step {self.step_number}"):
-            states = setup.controller.execute(
+        with self._guard.call(f"execute at step {self.step_number}"):
+            states = self._controller.execute(
                 *read_only((self._ego[-1], plan.waypoints)), steps, setup.vehicle, setup.dt
             )
         executed = np.array(states, np.float64)[1:]

@@ -16,10 +16,9 @@ from recast.logs.types import Track
 from recast.planning import ReferenceRoute
 from recast.simulation.actor_motion import (
     ActorMotion,
-    AnyMotion,
+    BaseMotion,
     ScriptMotion,
     StartSituation,
-    follows_log,
 )
 from recast.simulation.rollout import PATH_COLUMNS, ego_centre
 from recast.simulation.setup import RolloutSetup
@@ -38,7 +37,7 @@ def refuse_starts(
     setup: RolloutSetup,
     road: shapely.Geometry | None,
     ego: Array,
-    actors: Sequence[tuple[Track, AnyMotion, Array]],
+    actors: Sequence[tuple[Track, BaseMotion, Array]],
 ) -> None:
     """Refuse controlled actors that overlap the ego or each other, or stand beside the road.
 
@@ -61,7 +60,7 @@ def refuse_starts(
             if overlap > _TOUCHING:
                 fault = f"{name} and {other} overlap by {overlap:.2f} m2 at the start"
                 break
-        share = 1.0 if follows_log(motion) else float(on_road_shares(road, pose, track.size))
+        share = 1.0 if motion.follows_log else float(on_road_shares(road, pose, track.size))
         if fault is None and share < ON_ROAD:
             who = "the actor" if target else name
             box = f"{share:.0%} of its box lies on the drivable area"

@@ -2,13 +2,20 @@
 
 from recast.splats.adam import RowAdam
 from recast.splats.cuda import pick_device
-from recast.splats.frozen import FrozenGaussians, freeze
 from recast.splats.gaussians import Gaussians, concatenate, morton_order
-from recast.splats.low_pass import CLASSIC, MIP, LowPass, refiltered
 from recast.splats.native import set_threads
 from recast.splats.ply import read_ply, write_ply
-from recast.splats.rasterization import RasterImages, Rasterization, RasterMeta, Window
-from recast.splats.rasterize import rasterize, rasterize_frozen
+from recast.splats.rasterization import (
+    CLASSIC,
+    MIP,
+    LowPass,
+    RasterImages,
+    Rasterization,
+    RasterMeta,
+    Window,
+    refiltered,
+)
+from recast.splats.rasterize import FrozenGaussians, freeze, rasterize, rasterize_frozen
 
 __all__ = [
     "CLASSIC",

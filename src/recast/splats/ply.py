@@ -22,9 +22,8 @@ from numpy.typing import NDArray
 
 from recast.core.errors import InputError
 from recast.core.files import disk_errors, write_bytes
-from recast.splats.gaussians import Gaussians
-from recast.splats.linear import from_linear, to_linear
-from recast.splats.low_pass import MIP, LowPass, parse_low_pass
+from recast.splats.gaussians import Gaussians, from_linear, to_linear
+from recast.splats.rasterization import MIP, LowPass, parse_low_pass
 from recast.splats.sh import C0
 
 _TYPES = {

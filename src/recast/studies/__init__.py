@@ -3,13 +3,7 @@ whole scenes, vehicles, planners and the trust in verdicts.
 """
 
 from recast.studies.closed_loop import run_closed_loop
-from recast.studies.grid import (
-    BenchScene,
-    BenchSettings,
-    DriveSize,
-    parse_scenes,
-    resolve_bench,
-)
+from recast.studies.grid import BenchScene, BenchSettings, DriveSize, parse_scenes, resolve_bench
 
 __all__ = [
     "BenchScene",

@@ -11,17 +11,16 @@ from typing import Any
 from rich.console import Console
 
 from recast.core import Artefact, Store, folder_hash
-from recast.metrics.pairs import script_difference
+from recast.metrics.table import script_difference
 from recast.runs.arms import Arm
 from recast.runs.artefacts import Artefacts
 from recast.runs.config import RunConfig
-from recast.runs.layout import LOG_FOLDER, rollout_name
 from recast.runs.making import Maker, copy_folder, drive_world
 from recast.runs.rollouts import read_rollout
+from recast.runs.run_folder import LOG_FOLDER, rollout_name
 from recast.runs.sources import SourceLog, Sources
 from recast.simulation import Rollout
-from recast.studies.grid import BenchScene, BenchSettings
-from recast.studies.grid_rows import GridRow
+from recast.studies.grid import BenchScene, BenchSettings, GridRow
 from recast.synthetic import make_world
 
 OTHER_SCRIPT = "OtherScript"

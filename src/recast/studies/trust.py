@@ -22,7 +22,7 @@ from recast.metrics.trust import (
     reliability,
     write_calibration,
 )
-from recast.reporting.reliability import write_reliability
+from recast.reporting.plots import write_reliability
 from recast.runs.display import narrow_table
 from recast.runs.report import open_run
 from recast.studies.grid import BENCH_FORMAT, RECORD_FILE, ROLLOUTS_FILE, SCENES_FOLDER

@@ -14,8 +14,7 @@ import shapely
 from scipy.ndimage import gaussian_filter1d
 
 from recast.arrays import Array
-from recast.synthetic.gaits import Ride, Walk
-from recast.synthetic.limbs import PersonLook, moving_model
+from recast.synthetic.gaits import PersonLook, Ride, Walk, moving_model
 from recast.synthetic.surface import Surface
 from recast.synthetic.traffic import PlacedVehicle, TrafficScene, is_seen
 from recast.synthetic.world import VehicleModel

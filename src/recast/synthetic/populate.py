@@ -16,13 +16,13 @@ from recast.geometry import se2
 from recast.logs import DrivingLog, Trajectory
 from recast.synthetic import rig
 from recast.synthetic.people import place_people
-from recast.synthetic.routes import ego_drive
 from recast.synthetic.streets import SCENES, make_street
 from recast.synthetic.traffic import (
     MANNERS,
     TARGET_KINDS,
     PlacedVehicle,
     TrafficScene,
+    ego_drive,
     near_spots,
     target_drive,
     try_driving,

@@ -1,4 +1,4 @@
-"""The training loop that resumes bit for bit: task, data order, moving average, clipping, states.
+"""The training loop that resumes bit for bit; `loop.train` trains any task.
 
-`loop.train` trains any task: the two-stage adaptation of `recast.recar`, small models, planners.
+`task` says what is trained and by which settings, `state` is all that a training changes.
 """

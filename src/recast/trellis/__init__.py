@@ -1,16 +1,18 @@
 """One image to a view-complete vehicle: the TRELLIS image-to-3D model in PyTorch of our own."""
 
-from recast.trellis.checkpoints import load_checkpoint, save_checkpoint, verify_checkpoint
+from recast.trellis.checkpoints import load_checkpoint, verify_checkpoint
 from recast.trellis.conditioning import check_crop, crop_to_object, read_crop
-from recast.trellis.generate import ImageTo3D, generate
-from recast.trellis.generation import (
+from recast.trellis.generate import (
     RECAST_MINI,
     GeneratedVehicle,
     Generation,
     GenerationLimits,
+    ImageTo3D,
+    generate,
     recast_mini,
     viewer_frame,
 )
+from recast.trellis.model_files import save_checkpoint
 from recast.trellis.sampler import MultiImageMode, SamplerSettings
 
 __all__ = [

@@ -1,24 +1,28 @@
 """A page and a replay file that show scenes, actors and rollouts in three dimensions."""
 
 from recast.viewer.drives import (
+    CameraImages,
     FilmFile,
     FilmFrames,
     LogFilm,
-    recording,
-    rollout_drive,
-    scene_drive,
-    still,
-)
-from recast.viewer.inputs import (
-    CameraImages,
     MountedCamera,
     Runner,
     ViewedDrive,
     ViewerEvent,
     ViewInputs,
+    recording,
+    rollout_drive,
+    scene_drive,
+    still,
 )
-from recast.viewer.page import MOST_GAUSSIANS, Page, require_viser
-from recast.viewer.replay import REPLAY_MB, ReplaySize, write_replay
+from recast.viewer.page import (
+    MOST_GAUSSIANS,
+    REPLAY_MB,
+    Page,
+    ReplaySize,
+    require_viser,
+    write_replay,
+)
 
 __all__ = [
     "MOST_GAUSSIANS",

@@ -15,7 +15,7 @@ from recast.actors.gather_evidence import gather_evidence
 from recast.core.errors import InputError
 from recast.geometry import se3
 from recast.logs import DrivingLog
-from recast.scene import SceneConfig
+from recast.reconstruction import SceneConfig
 from recast.splats import Gaussians, rasterize
 
 EVERY_FRAME = SceneConfig(scale=1.0, holdout_every=0)

@@ -10,7 +10,8 @@ import torch
 from actors import made_up, made_up_evidence
 from recast.actors import Actor, insert, load_actor, save_actor
 from recast.actors.evidence import Evidence
-from recast.actors.refine import LEAST_IMAGES, Steps, refine
+from recast.actors.refine import Steps, refine
+from recast.actors.refine.settings import REFINE
 from recast.core.errors import InputError
 from recast.geometry import se3
 from recast.scene import StreetScene
@@ -121,7 +122,7 @@ def test_too_few_images_leave_the_actor_and_say_so(
 ) -> None:
     few = dataclasses.replace(
         evidence,
-        sightings=evidence.sightings[: LEAST_IMAGES - 1],
+        sightings=evidence.sightings[: REFINE.least_images - 1],
         left_out=("smaller than 14 pixels",) * 3,
     )
     kept = refine(guess, few, scene)
@@ -187,7 +188,7 @@ def test_damaged_shares_are_one_line(
 def test_an_actor_that_stayed_as_registered_is_read_back(
     guess: Actor, evidence: Evidence, scene: StreetScene, tmp_path: Path
 ) -> None:
-    few = dataclasses.replace(evidence, sightings=evidence.sightings[: LEAST_IMAGES - 1])
+    few = dataclasses.replace(evidence, sightings=evidence.sightings[: REFINE.least_images - 1])
     kept = refine(guess, few, scene)
     save_actor(kept, tmp_path / "actor")
     back = load_actor(tmp_path / "actor")

@@ -12,7 +12,7 @@ from actors import made_up, made_up_evidence
 from recast.actors import Actor
 from recast.actors.icp import outer_surface
 from recast.actors.insert import contact_shadow, darkened
-from recast.actors.refine.surroundings import make_layers, shadow_evidence
+from recast.actors.refine.images import make_layers, shadow_evidence
 from recast.scene.light import CastShadow, SceneLight, SunBelief
 from recast.scene.light.sun import AZIMUTHS, DIRECTIONS, directions
 from recast.splats import CLASSIC, Gaussians, concatenate

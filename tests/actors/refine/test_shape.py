@@ -4,7 +4,7 @@ import numpy as np
 import torch
 
 from actors import made_up
-from recast.actors.refine.parameters import Bend, FreeGaussians, PoseOffsets, split, split_rows
+from recast.actors.refine.descent import Bend, FreeGaussians, PoseOffsets, split, split_rows
 from recast.splats import Gaussians
 from recast.splats.gaussians import quat_to_matrix
 

@@ -8,9 +8,14 @@ import torch
 
 from actors import made_up_evidence
 from recast.actors.coverage import Shares
-from recast.actors.drawing import draw
-from recast.actors.refine.surroundings import Layers, make_layers
-from recast.actors.refine.visibility import follow_paint, pixel_weights, visibility_of
+from recast.actors.refine.images import (
+    Layers,
+    follow_paint,
+    make_layers,
+    pixel_weights,
+    visibility_of,
+)
+from recast.scene.actor import draw
 from recast.splats import CLASSIC, Gaussians
 from recast.splats.sh import C0
 

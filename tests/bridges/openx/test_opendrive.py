@@ -16,7 +16,7 @@ import shapely
 from recast.arrays import Array
 from recast.core.errors import InputError
 from recast.logs.hdmap import HdMap, Lane
-from recast.logs.importers.argoverse2_map import find_map, read_map
+from recast.logs.importers.argoverse2 import find_map, read_map
 from recast.synthetic.streets import SCENES, make_street
 from recast_bridges.openx import read_opendrive, write_opendrive
 from recast_bridges.openx.opendrive import LeftOutLinks

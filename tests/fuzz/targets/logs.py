@@ -11,8 +11,8 @@ import numpy as np
 from fuzz.target import Target
 from fuzz.targets.importers import taste
 from recast.logs import read_log, write_log
+from recast.logs.hdmap import read_map, write_map
 from recast.logs.importers.argoverse2 import load_argoverse2
-from recast.logs.map_json import read_map, write_map
 from recast_bridges.alpasim import export_bundle, load_alpasim
 from recast_bridges.alpasim.usdz import read_usdz, write_usdz
 from support import tiny_argoverse2

@@ -16,11 +16,10 @@ from recast.logs.hdmap import HdMap, Lane
 from recast.logs.importers.nuscenes import KEY_FRAMES
 from recast.metrics.trust import packaged_calibration, read_calibration, write_calibration
 from recast.planning import ShownView
-from recast.runs.arm_words import parse_arms
+from recast.runs.arms import parse_arms
 from recast.runs.config import RunConfig, read_run_config
-from recast.runs.layout import use_name
 from recast.runs.rollouts import given_views
-from recast.runs.run_folder import RunFolder
+from recast.runs.run_folder import RunFolder, use_name
 from recast.simulation import MOTIONS, load_rollout, save_rollout, scenario_record
 from recast.simulation.coverage import ImageCoverage, RolloutCoverage
 from recast.simulation.rollout_files import load_coverage, save_coverage

@@ -34,15 +34,8 @@ from recast.actors.mesh.generator import sampled
 from recast.core.files import write_json
 from recast.geometry import se3
 from recast.logs import DrivingLog
-from recast.scene import (
-    SceneActor,
-    SceneConfig,
-    SkyMap,
-    StreetScene,
-    load_scene,
-    read_config,
-    save_scene,
-)
+from recast.reconstruction import SceneConfig, read_config
+from recast.scene import SceneActor, SkyMap, StreetScene, load_scene, save_scene
 from recast.scene.imported import import_gaussians
 from recast.splats import read_ply, write_ply
 from recast.splats.formats import formats

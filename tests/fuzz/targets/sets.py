@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import tempfile
 from pathlib import Path
 
 import cv2
@@ -15,30 +14,27 @@ from recar.sets import write_set
 from recast.core.files import write_json
 from recast.core.images import decode_image, rgba
 from recast.recar.ingest import ingest_photographs
-from recast.recar.ingest.settings import read_table
-from recast.recar.perturb.compose import (
-    PerturbationConfig,
-    read_perturbations,
-    write_perturbations,
-)
+from recast.recar.ingest_table import read_table
+from recast.recar.perturb import PerturbationConfig, read_perturbations, write_perturbations
 from recast.recar.real_crops import read_real_crops
-from recast.recar.shards import open_set, pack_set
-from recast.recar.targets import TargetCache
-from recast.recar.training.assets import TrainingAsset, read_asset, write_asset
-from recast.recar.training.stage_config import read_stage_config
+from recast.recar.screening import read_decisions, screened_vehicles, write_screening
+from recast.recar.target_cache import TargetCache
+from recast.recar.training_conditions import TrainingAsset, read_asset, write_asset
+from recast.recar.training_config import read_stage_config
+from recast.recar.vehicle_set import read_set
 from support import target_caches
 from support.crops import write_crops
 from support.tiny_stage import tiny_config
 
 
 def _read_set(folder: Path, out: Path) -> object:
-    found = open_set(folder / "cars")
+    found = read_set(folder / "cars")
     return [(one.record, one.view(0)) for one in found.identities.values()]
 
 
-def _write_shards(folder: Path) -> None:
-    with tempfile.TemporaryDirectory() as plain:
-        pack_set(write_set(Path(plain) / "cars", 3), folder / "cars", 6_000)
+def _write_screening(folder: Path) -> None:
+    cars = write_set(folder / "cars", 3)
+    write_screening(cars.folder, cars.identities, screened_vehicles(cars))
 
 
 def _read_cache(folder: Path, out: Path) -> object:
@@ -77,7 +73,13 @@ def _write_images(folder: Path) -> None:
 TARGETS = (
     Target("vehicle-set", lambda f: write_set(f / "cars", 3), _read_set, weight=6.0),
     Target("vehicle-set-record", lambda f: write_set(f / "cars", 3), _read_set, ("*.json",), 6.0),
-    Target("shards", _write_shards, _read_set, weight=8.0),
+    Target(
+        "screening",
+        _write_screening,
+        lambda f, out: read_decisions(f / "cars", ("car-0", "car-1", "car-2")),
+        ("*.csv",),
+        8.0,
+    ),
     Target(
         "vehicle-table",
         lambda f: write_photos(f, 3),

@@ -11,7 +11,6 @@ import pytest
 
 from pretrained.tiny import write_clip
 from recast.core.errors import InputError
-from recast.metrics.scene_level.files import table_markdown, warnings
 from recast.metrics.scene_level.frames import LoggedFrame, RolloutFrame
 from recast.metrics.scene_level.scores import (
     Features,
@@ -21,7 +20,13 @@ from recast.metrics.scene_level.scores import (
     load_features,
     save_features,
 )
-from recast.metrics.scene_level.summary import LevelRow, MeasuredScene, summarise
+from recast.metrics.scene_level.summary import (
+    LevelRow,
+    MeasuredScene,
+    summarise,
+    table_markdown,
+    warnings,
+)
 
 IMAGES, WIDTH = 12, 8
 

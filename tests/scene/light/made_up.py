@@ -10,8 +10,7 @@ from recast.geometry import se3
 from recast.logs import Trajectory
 from recast.scene import SceneActor, SkyMap, StreetScene
 from recast.scene.light import SceneLight, SunBelief
-from recast.scene.light.sun import directions
-from recast.scene.light.surfaces import Patches
+from recast.scene.light.sun import Patches, directions
 from recast.splats import Gaussians
 from recast.splats.sh import C0
 

@@ -5,8 +5,7 @@ import pytest
 import torch
 
 from recast.scene.light.place import SceneLight
-from recast.scene.light.sun import SUN_OVER_SKY, directions
-from recast.scene.light.surfaces import Occupancy
+from recast.scene.light.sun import SUN_OVER_SKY, Occupancy, directions
 from recast.splats import concatenate
 from recast.splats.sh import basis
 from scene.light import made_up

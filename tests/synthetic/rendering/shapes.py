@@ -9,7 +9,7 @@ from recast.arrays import Array
 from recast.cameras import PinholeCamera
 from recast.geometry import se3
 from recast.synthetic.rendering import SKY, Hits, RayScene
-from recast.synthetic.rendering.ray_scene import Poses
+from recast.synthetic.rendering.rays import Poses
 from recast.synthetic.surface import Surface, concatenate
 from recast.synthetic.world import Sky
 

@@ -8,9 +8,8 @@ import pytest
 from recast import kernel
 from recast.synthetic.rendering import CameraFrame, RayScene, compiled, render_camera
 from recast.synthetic.rendering import rays as single
-from recast.synthetic.rendering.embree import packets_work
-from recast.synthetic.rendering.ray_scene import _Spheres
-from recast.synthetic.rendering.rays import NO_HIT, RayMesh
+from recast.synthetic.rendering.compiled import packets_work
+from recast.synthetic.rendering.rays import NO_HIT, RayMesh, _Spheres
 from recast.synthetic.surface import Surface, concatenate
 from synthetic.rendering.shapes import CAMERA, box, camera_at, plane, pose, sky
 

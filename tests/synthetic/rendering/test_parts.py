@@ -7,10 +7,9 @@ import pytest
 
 from recast.geometry.colour import linear_to_srgb
 from recast.synthetic.rendering import RayScene
-from recast.synthetic.rendering.lighting import Light, LightFilter
+from recast.synthetic.rendering.lighting import Light, LightFilter, SkyLight, sky_light
 from recast.synthetic.rendering.rays import cosine_directions
 from recast.synthetic.rendering.shading import WHITE_LEVEL, develop, filmic
-from recast.synthetic.rendering.sky import SkyLight, sky_light
 from recast.synthetic.rendering.surface_points import (
     SurfacePoints,
     surface_coordinates,

@@ -5,17 +5,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from recast.synthetic.scenery.primitives import (
-    SceneryPanels,
-    at,
-    boxes,
-    lathe,
-    prism,
-    tube,
-)
-from recast.synthetic.scenery.signs import STROKES, text_quads
+from recast.synthetic.scenery.furniture import STROKES, text_quads
 from recast.synthetic.scenery.trees import directions, icosphere
-from recast.synthetic.surface import Surface
+from recast.synthetic.surface import SceneryPanels, Surface, at, boxes, lathe, prism, tube
 
 GREY = (0.5, 0.5, 0.5)
 

@@ -9,8 +9,7 @@ import pytest
 import shapely
 
 from recast.geometry import Polyline, se2
-from recast.logs.hdmap import drivable_region
-from recast.logs.map_json import read_map, write_map
+from recast.logs.hdmap import drivable_region, read_map, write_map
 from recast.synthetic.streets import EGO_START, SCENES
 from synthetic.streets.built import LENGTH, built
 

@@ -8,11 +8,15 @@ import shapely
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from recast.synthetic.streets.ground import GRASS, PAVING, Band, Edge, Ground
 from recast.synthetic.streets.network import JunctionArm, StreetNetwork
 from recast.synthetic.streets.road import Road, Section
 from recast.synthetic.streets.shapes import (
+    GRASS,
+    PAVING,
+    Band,
     Decals,
+    Edge,
+    Ground,
     Pose,
     ReferenceLine,
     flat,

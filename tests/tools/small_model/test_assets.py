@@ -9,7 +9,7 @@ import pytest
 
 from recast.core.errors import InputError
 from recast.geometry import boxes, se3
-from recast.recar.training.assets import read_asset, write_asset
+from recast.recar.training_conditions import read_asset, write_asset
 from recast_tools.small_model.asset_synthesis import sample_views, voxelise
 
 

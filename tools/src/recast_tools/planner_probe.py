@@ -15,14 +15,13 @@ from recast.cameras import CameraMount
 from recast.core.artefact import value_hash
 from recast.core.errors import InputError
 from recast.logs import DrivingLog, Track
-from recast.metrics.collision import no_collision
-from recast.planning import Planner, make_planner, whole_planner
+from recast.metrics.driving import no_collision
+from recast.planning import BasePlanner, make_planner
 from recast.runs.sources import RECIPES, planner_source
 from recast.simulation import (
     Rollout,
     RolloutSetup,
     ScriptedMotion,
-    SensorRenderer,
     SimState,
     ego_centre,
     load_rollout,
@@ -33,6 +32,7 @@ from recast.simulation import (
     scenario_record,
 )
 from recast.simulation.oracle_renderer import OracleRenderer
+from recast.simulation.renderer import RendererAround
 from recast.synthetic import make_rig, make_world
 from recast.synthetic.world import World
 
@@ -89,22 +89,14 @@ class ProbeRow:
         return f"{self.scene} {self.scenario}: {', '.join(parts)}"
 
 
-class ErasingRenderer:
+class ErasingRenderer(RendererAround):
     """Another renderer's pictures without the controlled actor; the simulation keeps it."""
-
-    def __init__(self, renderer: SensorRenderer) -> None:
-        self._renderer = renderer
-
-    @property
-    def mounts(self) -> Mapping[str, CameraMount]:
-        """Those of the other renderer."""
-        return self._renderer.mounts
 
     def render(self, state: SimState, camera_names: Sequence[str]) -> dict[str, Image]:
         """As the other renderer, with the actor far below the road."""
         gone = state.world_from_actor.copy()
         gone[2, 3] -= _FAR_BELOW
-        return self._renderer.render(replace(state, world_from_actor=gone), camera_names)
+        return self.part.render(replace(state, world_from_actor=gone), camera_names)
 
 
 def probe(request: ProbeRequest, on_row: Callable[[ProbeRow], None]) -> list[ProbeRow]:
@@ -122,9 +114,7 @@ def probe(request: ProbeRequest, on_row: Callable[[ProbeRow], None]) -> list[Pro
             "planner", planner.name, "does not use images", "give a planner that uses images"
         )
     width, height = _SIZE
-    wanted = {
-        (view.camera.width, view.camera.height) for view in whole_planner(planner).wanted_views
-    }
+    wanted = {(view.camera.width, view.camera.height) for view in planner.wanted_views}
     if not request.full_size and wanted == {_SIZE}:
         width, height = width // 2, height // 2
     motions = [motion for name in request.motions for motion in parse_motions(name)]
@@ -172,7 +162,7 @@ def probe_table(rows: Sequence[ProbeRow]) -> Table:
 def _drive_twice(
     request: ProbeRequest,
     source: str,
-    planner: Planner,
+    planner: BasePlanner,
     world: World,
     renderer: OracleRenderer,
     motion: ScriptedMotion,

@@ -25,10 +25,9 @@ from recast.core.errors import InputError
 from recast.dynamics.state import VehicleParameters
 from recast.geometry import se3
 from recast.logs.checks import check_name, refused
-from recast.logs.hdmap import HdMap
-from recast.logs.map_json import map_text
+from recast.logs.hdmap import HdMap, map_text
 from recast.logs.types import CameraStream, DrivingLog, Track
-from recast.scene.dynamic import moves
+from recast.scene.poses import moves
 from recast_bridges.alpasim.usdz import write_usdz
 from recast_bridges.openx import write_opendrive
 

@@ -21,13 +21,13 @@ from recast.core.yaml_lines import read_yaml
 from recast.geometry import se3
 from recast.logs import checks
 from recast.logs.checks import refused
+from recast.logs.hdmap import parse_map
 from recast.logs.importers.common import (
     chosen_cameras,
     first_jump,
     returns_valid,
     unknown_drive,
 )
-from recast.logs.map_json import parse_map
 from recast.logs.types import CameraStream, DrivingLog, Track, Trajectory
 from recast_bridges.alpasim.bundle import LABELS, MAP, METADATA, PINHOLE, RIG, TRACKS
 from recast_bridges.alpasim.bundle_records import (

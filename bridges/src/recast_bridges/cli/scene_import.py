@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import tyro
 
 from recast.cli import shared
-from recast.cli.scene_import import WORLD_FROM_SCENE, run_import, tell_import
+from recast.cli.shared import WORLD_FROM_SCENE, run_import, tell_import
 
 if TYPE_CHECKING:
     from recast.scene.imported import ImportRecord
@@ -20,6 +20,24 @@ OWN_LOG = shared.option(
     "Log folder to write from the scene's own files, instead of --log; must not exist. It has the "
     "ego, cameras without images, and the actors."
 )
+
+
+def _tracks(actor: str, default: str = "") -> Any:
+    """Help of the file that names the log's tracks.
+
+    Args:
+        actor: the checkpoint's name of an actor, for the example.
+    """
+    text = f'JSON file with the log\'s track id of each actor: {{"{actor}": "..."}}.'
+    return shared.option(text, default)
+
+
+def _share(dependent: str) -> Any:
+    """Help of the time at which colours that depend on time or view are frozen."""
+    return shared.required(
+        f"Time at which the {dependent}-dependent colours of an actor are frozen, as a fraction "
+        "(0 to 1) of\nits track."
+    )
 
 
 @dataclass(frozen=True)
@@ -51,15 +69,10 @@ class StreetGaussians:
     cameras: tuple[int, ...] = (0, 1, 2)
     """Numbers of the cameras of the training."""
     world_from_scene: Annotated[Path | None, WORLD_FROM_SCENE] = None
-    tracks: Annotated[
-        Path | None,
-        shared.option('JSON file with the log\'s track id of each actor: {"obj_003": "..."}.'),
-    ] = None
+    tracks: Annotated[Path | None, _tracks("obj_003")] = None
     leave_out: tuple[str, ...] = ()
     """Actors to leave out, such as obj_003."""
-    share: float = 0.5
-    """Time at which the time-dependent colours of an actor are frozen, as a fraction (0 to 1) of
-    its track."""
+    share: Annotated[float, _share("time")] = 0.5
 
     def __call__(self) -> None:
         from recast_bridges.scenes import import_street_gaussians
@@ -95,18 +108,10 @@ class DriveStudio:
         ),
     ] = None
     world_from_scene: Annotated[Path | None, WORLD_FROM_SCENE] = None
-    tracks: Annotated[
-        Path | None,
-        shared.option(
-            'JSON file with the log\'s track id of each actor: {"0": "..."}.',
-            "the track at the same place",
-        ),
-    ] = None
+    tracks: Annotated[Path | None, _tracks("0", "the track at the same place")] = None
     leave_out: tuple[str, ...] = ()
     """Numbers of the actors to leave out."""
-    share: float = 0.5
-    """Time at which the view-dependent colours of an actor are frozen, as a fraction (0 to 1) of
-    its track."""
+    share: Annotated[float, _share("view")] = 0.5
 
     def __call__(self) -> None:
         from recast_bridges.scenes import import_drivestudio
@@ -125,17 +130,11 @@ class Mtgs:
     log: Annotated[Path | None, LOG_OR_OWN] = None
     own_log: Annotated[Path | None, OWN_LOG] = None
     tracks: Annotated[
-        Path | None,
-        shared.option(
-            'JSON file with the log\'s track id of each actor: {"TOKEN": "..."}.',
-            "the track of the same name, or at the same place",
-        ),
+        Path | None, _tracks("TOKEN", "the track of the same name, or at the same place")
     ] = None
     leave_out: tuple[str, ...] = ()
     """Tokens of the actors to leave out."""
-    share: float = 0.5
-    """Time at which the time-dependent colours of an actor are frozen, as a fraction (0 to 1) of
-    its track."""
+    share: Annotated[float, _share("time")] = 0.5
 
     def __call__(self) -> None:
         from recast_bridges.scenes import import_mtgs, import_mtgs_with_log
@@ -166,18 +165,10 @@ class Hugsim:
     time_unit: float = 1.0
     """Seconds of one unit of the scene's times: 0.1 if they are numbers of frames at 10 Hz."""
     world_from_scene: Annotated[Path | None, WORLD_FROM_SCENE] = None
-    tracks: Annotated[
-        Path | None,
-        shared.option(
-            'JSON file with the log\'s track id of each actor: {"12": "..."}.',
-            "the track at the same place",
-        ),
-    ] = None
+    tracks: Annotated[Path | None, _tracks("12", "the track at the same place")] = None
     leave_out: tuple[str, ...] = ()
     """Names of the actors to leave out: 12 for dynamic_12.pth."""
-    share: float = 0.5
-    """Time at which the view-dependent colours of an actor are frozen, as a fraction (0 to 1) of
-    its track."""
+    share: Annotated[float, _share("view")] = 0.5
 
     def __call__(self) -> None:
         from recast_bridges.scenes import import_hugsim, import_hugsim_with_log

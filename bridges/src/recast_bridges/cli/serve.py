@@ -9,7 +9,7 @@ from typing import Annotated, Literal
 import tyro
 
 from recast.cli import shared
-from recast.cli.output import console_for
+from recast.cli.shared import console_for
 from recast.core import diagnostics
 
 _WORLD_FROM_LOCAL = (
@@ -27,8 +27,7 @@ class _Scenes:
     log: Annotated[
         shared.Names,
         shared.option(
-            "Log folder of a scene folder: it has the cameras. May be repeated.",
-            metavar="PATH",
+            "Log folder of a scene folder: it has the cameras. May be repeated.", metavar="PATH"
         ),
     ] = ()
     arm: Annotated[

@@ -30,7 +30,7 @@ from recast.logs.importers.common import (
     returns_valid,
 )
 from recast.logs.importers.waymo_proto import LASER_NAME, LICENCE, lidar_name
-from recast.logs.importers.waymo_values import WAYMO_FROM_OPENCV
+from recast.logs.importers.waymo_segment import WAYMO_FROM_OPENCV
 from recast.logs.types import (
     Array,
     CameraStream,

@@ -2,46 +2,28 @@
 
 from __future__ import annotations
 
+from recast.lazy import getattr_of, names_of
+
 TYPE_CHECKING = False  # typing's own costs 5 ms; type checkers know the name
 if TYPE_CHECKING:
-    from recast_bridges.neuroncap.planner import NeuroNcapPlanner, neuroncap_planner
-    from recast_bridges.neuroncap.scenario_file import NcapScenario, read_ncap_scenario
-    from recast_bridges.neuroncap.scenario_runs import NcapRun, ncap_runs
-    from recast_bridges.neuroncap.scenarios import ImportedFile, import_ncap_scenario
-    from recast_bridges.neuroncap.server import ncap_app
-    from recast_bridges.neuroncap.service import NcapService
+    from recast_bridges.neuroncap.planner import NeuroNcapPlanner as NeuroNcapPlanner
+    from recast_bridges.neuroncap.planner import neuroncap_planner as neuroncap_planner
+    from recast_bridges.neuroncap.scenario_file import NcapScenario as NcapScenario
+    from recast_bridges.neuroncap.scenario_file import read_ncap_scenario as read_ncap_scenario
+    from recast_bridges.neuroncap.scenario_runs import NcapRun as NcapRun
+    from recast_bridges.neuroncap.scenario_runs import ncap_runs as ncap_runs
+    from recast_bridges.neuroncap.scenarios import ImportedFile as ImportedFile
+    from recast_bridges.neuroncap.scenarios import import_ncap_scenario as import_ncap_scenario
+    from recast_bridges.neuroncap.server import ncap_app as ncap_app
+    from recast_bridges.neuroncap.service import NcapService as NcapService
 
-_FILES = {
-    "ImportedFile": ".scenarios",
-    "NcapRun": ".scenario_runs",
-    "NcapScenario": ".scenario_file",
-    "NcapService": ".service",
-    "NeuroNcapPlanner": ".planner",
-    "import_ncap_scenario": ".scenarios",
-    "ncap_app": ".server",
-    "ncap_runs": ".scenario_runs",
-    "neuroncap_planner": ".planner",
-    "read_ncap_scenario": ".scenario_file",
+_PLACES = {
+    ".planner": ("NeuroNcapPlanner", "neuroncap_planner"),
+    ".scenario_file": ("NcapScenario", "read_ncap_scenario"),
+    ".scenario_runs": ("NcapRun", "ncap_runs"),
+    ".scenarios": ("ImportedFile", "import_ncap_scenario"),
+    ".server": ("ncap_app",),
+    ".service": ("NcapService",),
 }
-
-__all__ = [
-    "ImportedFile",
-    "NcapRun",
-    "NcapScenario",
-    "NcapService",
-    "NeuroNcapPlanner",
-    "import_ncap_scenario",
-    "ncap_app",
-    "ncap_runs",
-    "neuroncap_planner",
-    "read_ncap_scenario",
-]
-
-
-def __getattr__(name: str) -> object:
-    """A name of `__all__`, imported when it is first used: scenarios need no torch."""
-    if name not in _FILES:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    from importlib import import_module
-
-    return getattr(import_module(_FILES[name], __name__), name)
+__all__ = names_of(_PLACES)
+__getattr__ = getattr_of(__name__, _PLACES)  # scenarios need no torch

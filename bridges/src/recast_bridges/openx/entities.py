@@ -15,6 +15,7 @@ from recast.arrays import Array
 from recast.core.errors import InputError
 from recast.geometry import se3
 from recast.logs import DrivingLog
+from recast.simulation.actor_motion import BaseScript
 from recast.simulation.actors import prepare
 from recast.simulation.rollout import Rollout
 from recast.simulation.scenario_names import scenario_name
@@ -79,7 +80,7 @@ def played_scenario(setup: RolloutSetup) -> Played:
     """
     prepared = prepare(setup)
     for track_id, motion in setup.controlled.items():
-        if not hasattr(motion, "script"):
+        if not isinstance(motion, BaseScript):
             problem = (
                 f"{motion.name} of track {track_id} reacts: its path is unknown before it runs"
             )
@@ -103,8 +104,7 @@ def played_scenario(setup: RolloutSetup) -> Played:
         if key not in scripts
     ]
     name = f"{scenario_name(setup.motion)} of track {setup.track_id} in {setup.log.name}"
-    text = getattr(setup.motion, "description", "")  # a motion of the user's own may have none
-    return Played(name, text, float(times[-1]), _present(ego, *actors, *logged))
+    return Played(name, setup.description, float(times[-1]), _present(ego, *actors, *logged))
 
 
 def played_rollout(rollout: Rollout, log: DrivingLog) -> Played:

@@ -18,6 +18,7 @@ from recast.arrays import Array, Int64Array
 from recast.core.files import require_new
 from recast.geometry import se3
 from recast.logs import DrivingLog, Trajectory
+from recast.scene.actor import SceneActor
 from recast.scene.appearance import exposed, exposed_colours
 from recast.scene.imported import (
     ImportRecord,
@@ -27,7 +28,7 @@ from recast.scene.imported import (
     write_imported,
 )
 from recast.scene.sky import sky_from_cubemap
-from recast.scene.street_scene import SceneActor, StreetScene
+from recast.scene.street_scene import StreetScene
 from recast.splats import Gaussians
 from recast_bridges.logs.processed_folder import read_pose
 from recast_bridges.scenes.actors import (

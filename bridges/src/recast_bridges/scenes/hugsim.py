@@ -19,6 +19,7 @@ from recast.core.errors import InputError
 from recast.core.files import require_new
 from recast.geometry import se3
 from recast.logs import CameraStream, DrivingLog, Trajectory
+from recast.scene.actor import SceneActor
 from recast.scene.imported import (
     ImportRecord,
     ScenePlacement,
@@ -26,7 +27,7 @@ from recast.scene.imported import (
     write_imported,
 )
 from recast.scene.sky import SkyMap
-from recast.scene.street_scene import SceneActor, StreetScene
+from recast.scene.street_scene import StreetScene
 from recast.splats import concatenate
 from recast_bridges.scenes.actors import (
     SUSPICIOUS_M,

@@ -16,9 +16,10 @@ from recast.core.errors import InputError
 from recast.core.files import require_new
 from recast.geometry import se3
 from recast.logs import DrivingLog
+from recast.scene.actor import SceneActor
 from recast.scene.imported import ImportRecord, ScenePlacement, write_imported
 from recast.scene.sky import sky_from_cubemap
-from recast.scene.street_scene import SceneActor, StreetScene
+from recast.scene.street_scene import StreetScene
 from recast.splats import concatenate
 from recast_bridges.scenes.actors import (
     SUSPICIOUS_M,

@@ -16,6 +16,7 @@ from torch import Tensor
 from recast.core.files import require_new
 from recast.geometry import se3
 from recast.logs import DrivingLog
+from recast.scene.actor import SceneActor
 from recast.scene.appearance import fourier_basis
 from recast.scene.imported import (
     ImportRecord,
@@ -25,7 +26,7 @@ from recast.scene.imported import (
     write_imported,
 )
 from recast.scene.sky import sky_from_cubemap
-from recast.scene.street_scene import SceneActor, StreetScene
+from recast.scene.street_scene import StreetScene
 from recast.splats import Gaussians
 from recast_bridges.scenes.actors import (
     TURNING,

@@ -21,7 +21,7 @@ from recast.core.errors import InputError
 from recast.core.files import read_json
 from recast.geometry import se3
 from recast.logs import DrivingLog, Trajectory
-from recast.scene.dynamic import moves
+from recast.scene.poses import moves
 from recast_bridges.logs.processed_folder import CAMERAS, frame_numbers, read_pose
 from recast_bridges.logs.street_gaussians import CATEGORIES, read_box_rows
 

@@ -13,7 +13,7 @@ from recast.core.errors import InputError
 from recast.dynamics import PACIFICA, VehicleParameters
 from recast.geometry import Polyline
 from recast.logs.hdmap import HdMap
-from recast.metrics.collision import any_collision, realised_future
+from recast.metrics.driving import any_collision, realised_future
 from recast.metrics.rollout_metrics import rollout_actors, rollout_collisions
 from recast.metrics.table import Metric, invalid
 from recast.planning.map import PlannerMap

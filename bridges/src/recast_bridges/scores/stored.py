@@ -16,9 +16,8 @@ from recast.core.progress import Progress, tell
 from recast.logs import HdMap, map_of, read_log
 from recast.metrics.table import Metric, rounded
 from recast.runs.display import narrow_table
-from recast.runs.layout import use_parts
 from recast.runs.rollouts import read_rollout
-from recast.runs.run_folder import RunFolder
+from recast.runs.run_folder import RunFolder, use_parts
 from recast.simulation import Rollout
 from recast_bridges.scores import alpasim_scene_score, driven_epdms, neuroncap_score
 

@@ -20,7 +20,7 @@ from recast.core.errors import InputError
 from recast.core.files import read_bytes, write_bytes
 from recast.splats.formats import SplatFormat
 from recast.splats.gaussians import Gaussians
-from recast.splats.low_pass import MIP, LowPass
+from recast.splats.rasterization import MIP, LowPass
 from recast.splats.sh import MAX_DEGREE
 from recast_bridges.splats.spz_fields import packed, unpacked
 

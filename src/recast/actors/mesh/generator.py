@@ -16,7 +16,7 @@ from scipy.spatial import cKDTree
 from scipy.special import spence
 
 from recast.actors.axes import AUTO, AxisConvention, axes_of, upright
-from recast.actors.generate import Asset
+from recast.actors.generate import Asset, BaseGenerator
 from recast.actors.mesh.gltf import files_of_glb, read_glb
 from recast.actors.mesh.obj import files_of_obj, read_obj
 from recast.actors.mesh.sample import Outside, Samples, outside, sample
@@ -82,7 +82,7 @@ def _readers(path: Path) -> tuple:
     return _READERS[suffix]
 
 
-class MeshGenerator:
+class MeshGenerator(BaseGenerator):
     """Takes the triangles of a glTF or OBJ file, in the light that the observation shows.
 
     Base colour (texture, factor and vertex colours) in daylight as bright as the road around the

@@ -1,6 +1,6 @@
 """Refinement of a registered vehicle by all that the log knows of it."""
 
-from recast.actors.refine.descent import Steps
-from recast.actors.refine.refine import LEAST_IMAGES, refine
+from recast.actors.refine.refine import refine
+from recast.actors.refine.settings import RefinementSettings, Steps
 
-__all__ = ["LEAST_IMAGES", "Steps", "refine"]
+__all__ = ["RefinementSettings", "Steps", "refine"]

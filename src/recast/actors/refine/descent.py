@@ -1,45 +1,216 @@
-"""What refinement minimises, and its two descents: the whole body, then every Gaussian."""
+"""What refinement minimises, what it moves, and its two descents.
+
+First the whole vehicle: place, size, a smooth field of offsets, and the poses of its track. It is
+symmetric to the plane between left and right: the side that was seen bends the other. Then every
+Gaussian, as far as each may go."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 import torch
+import torch.nn.functional as functional
+from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 from torch import Tensor
 
 from recast.actors.actor import Actor
-from recast.actors.drawing import draw
 from recast.actors.icp import outer_surface, thinned
-from recast.actors.refine.parameters import FIELDS, Bend, FreeGaussians, PoseOffsets
-from recast.actors.refine.surroundings import Layers
+from recast.actors.refine.images import Layers
+from recast.actors.refine.settings import REFINE, Steps
+from recast.arrays import Array
+from recast.reconstruction.losses import photometric_loss
+from recast.reconstruction.schedule import generator, picked_view
+from recast.scene.actor import draw
 from recast.scene.appearance import mirrored
-from recast.scene.photometric import photometric_loss
-from recast.scene.schedule import generator, picked_view
-from recast.splats import Gaussians, LowPass
+from recast.splats import Gaussians, LowPass, concatenate
+from recast.splats.gaussians import quat_multiply, quat_to_matrix
 
-SSIM_WEIGHT = 0.2
-OUTLINE_WEIGHT = 0.5
+FIELDS = ("means", "quats", "log_scales", "logit_opacities", "sh")
 Step = Callable[[], None]
-
-_MIRROR_CHANCE, _MIRROR_WEIGHT = 0.35, 0.5
 _MIRRORS = 7  # stream of random numbers
-_FALL = 0.1  # factor of all rates at the end of a descent
-_STRAIN, _LIDAR = 0.002, 0.03  # weights
-_LIDAR_POINTS, _LIDAR_NOISE, _NEAREST_EVERY = 1500, 0.04, 15
-_SHAPE_RATES = {"move": 4e-3, "turn": 1e-3, "grow": 2e-3, "offsets": 2e-3}
-_POSE_RATE = 1e-3
-_FREE_RATES = {
-    "means": 1e-3,
-    "quats": 2e-3,
-    "log_scales": 6e-3,
-    "logit_opacities": 3e-2,
-    "sh": 6e-3,
-}
+
+
+class Bend:
+    """p -> rotate_z(turn) (exp(grow) p + offsets(p)) + move, offsets from a coarse lattice.
+
+    Args:
+        size: (3,) size of the box, metres.
+
+    Attributes:
+        move: (3,) metres. turn: (1,) radians. grow: (3,) logarithms.
+        offsets: (3, 4, 3, 6) metres at the lattice's nodes (up, across, along).
+    """
+
+    def __init__(self, size: Array) -> None:
+        self._half = torch.from_numpy(np.asarray(size) * REFINE.lattice_room / 2).float()
+        self.move = torch.zeros(3, requires_grad=True)
+        self.turn = torch.zeros(1, requires_grad=True)
+        self.grow = torch.zeros(3, requires_grad=True)
+        self.offsets = torch.zeros(3, *REFINE.lattice[::-1], requires_grad=True)
+
+    def field(self, points: Tensor) -> Tensor:
+        """Offsets (N, 3) at points (N, 3); across they change sign with the side."""
+        side = torch.where(points[:, 1] < 0, -1.0, 1.0)
+        place = points / self._half
+        place = torch.stack([place[:, 0], 2 * place[:, 1].abs() - 1, place[:, 2]], -1)
+        found = functional.grid_sample(
+            self.offsets[None], place.clamp(-1, 1)[None, :, None, None], align_corners=True
+        )[0, :, :, 0, 0].T
+        one = torch.ones_like(side)
+        return found * torch.stack([one, side, one], -1)
+
+    def points(self, points: Tensor) -> Tensor:
+        """Points (N, 3) after the move; differentiable."""
+        bent = points * self.grow.exp() + self.field(points)
+        c, s = self.turn.cos(), self.turn.sin()
+        x, y, z = bent.unbind(-1)
+        return torch.stack([c * x - s * y, s * x + c * y, z], -1) + self.move
+
+    def __call__(self, gaussians: Gaussians) -> Gaussians:
+        """Gaussians after the move; harmonics are left as they are, the turn is a small one."""
+        half = self.turn / 2
+        none = torch.zeros(2)
+        turn = torch.cat([half.cos(), none, half.sin()]).expand(len(gaussians), 4)
+        return replace(
+            gaussians,
+            means=self.points(gaussians.means),
+            quats=quat_multiply(turn, gaussians.quats),
+            log_scales=gaussians.log_scales + self.grow.mean(),
+        )
+
+    def parameters(self) -> dict[str, Tensor]:
+        """Leaf tensors by name."""
+        return {"move": self.move, "turn": self.turn, "grow": self.grow, "offsets": self.offsets}
+
+    def strain(self) -> Tensor:
+        """How far the lattice bends: mean squares of offsets, of their steps and of the size."""
+        steps = [(self.offsets.diff(dim=d) / REFINE.bend_step_m).square().mean() for d in (1, 2, 3)]
+        sizes = (self.offsets / REFINE.bend_m).square().mean() + (
+            self.grow / REFINE.grow_spread
+        ).square().mean()
+        return sizes + torch.stack(steps).mean()
+
+
+class PoseOffsets:
+    """Small corrections of a track's poses: (forward, left, up, yaw) in the vehicle's frame.
+
+    Piecewise linear between knots 0.4 s apart. Their mean over the sightings is taken out: what all
+    have in common is the vehicle's place in its box.
+
+    Args:
+        times: (T,) int64 times of the sightings, microseconds.
+    """
+
+    def __init__(self, times: NDArray[np.int64]) -> None:
+        first, last = int(times.min()), int(times.max())
+        count = max((last - first) // REFINE.knot_us + 1, 1) + 1
+        self.knots = np.linspace(first, max(last, first + 1), count)
+        self.values = torch.zeros(count, 4, requires_grad=True)
+        self._mean = torch.from_numpy(
+            np.stack([self._weights(int(time)) for time in times]).mean(axis=0)
+        ).float()
+
+    def _weights(self, time: int) -> Array:
+        """(K,) share of each knot at a time; the ends are held beyond them."""
+        position = float(np.interp(time, self.knots, np.arange(len(self.knots))))
+        weights = np.zeros(len(self.knots))
+        left = min(int(position), len(weights) - 2)
+        weights[left], weights[left + 1] = 1 - (position - left), position - left
+        return weights
+
+    def at(self, time: int) -> Tensor:
+        """`object_from_corrected` (4, 4) at a time; differentiable."""
+        weights = torch.from_numpy(self._weights(time)).float() - self._mean
+        x, y, z, yaw = (weights @ self.values).unbind()
+        c, s, zero, one = yaw.cos(), yaw.sin(), torch.zeros(()), torch.ones(())
+        return torch.stack(
+            [c, -s, zero, x, s, c, zero, y, zero, zero, one, z, zero, zero, zero, one]
+        ).view(4, 4)
+
+    def roughness(self) -> Tensor:
+        """Mean squares of the offsets over `pose_spread`, and of their steps over half of it."""
+        spread = torch.tensor(REFINE.pose_spread)
+        steps = self.values.diff(dim=0) / (0.5 * spread)
+        return (self.values / spread).square().mean() + steps.square().mean()
+
+
+class FreeGaussians:
+    """prior + freedom x change, field by field: Adam's steps shrink with the freedom.
+
+    Args:
+        prior: Gaussians in the actor frame; harmonics of any degree become at least those of degree
+            1.
+        freedom: (N,) in [0, 1].
+
+    Attributes:
+        changes: leaf tensors by field.
+    """
+
+    def __init__(self, prior: Gaussians, freedom: Tensor) -> None:
+        if prior.sh.shape[1] < 4:
+            room = (0, 0, 0, 4 - prior.sh.shape[1])
+            prior = replace(prior, sh=torch.nn.functional.pad(prior.sh, room))
+        self.prior, self._freedom = prior.detach(), freedom
+        self.changes = {
+            name: torch.zeros_like(getattr(self.prior, name), requires_grad=True) for name in FIELDS
+        }
+
+    def _change(self, name: str) -> Tensor:
+        change = self.changes[name]
+        return self._freedom.view(-1, *[1] * (change.ndim - 1)) * change
+
+    def __call__(self) -> Gaussians:
+        """The Gaussians as they stand; differentiable in the changes."""
+        value = {name: getattr(self.prior, name) + self._change(name) for name in FIELDS}
+        value["log_scales"] = value["log_scales"].clamp(*REFINE.log_size)
+        return Gaussians(**value)
+
+    def strain(self) -> Tensor:
+        """Pull towards the prior: squares of shifts, of scales, of degree one."""
+        moved = (self._change("means") / REFINE.shift_m).square().mean()
+        grown = self._change("log_scales").square().mean()
+        turned = self._change("sh")[:, 1:].square().mean()
+        return (
+            REFINE.shift_weight * moved
+            + REFINE.scale_weight * grown
+            + REFINE.direction_weight * turned
+        )
+
+
+def split_rows(gaussians: Gaussians, chosen: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """Rows that stay whole, and twice those that are to be cut: chosen (N,) bool and not fine."""
+    cut = chosen & (gaussians.log_scales.amax(dim=1) > math.log(REFINE.finest_m))
+    rows = cut.nonzero()[:, 0]
+    return (~cut).nonzero()[:, 0], rows, rows
+
+
+def split(gaussians: Gaussians, whole: Tensor, first: Tensor, second: Tensor) -> Gaussians:
+    """Gaussians cut in two along their longest axis; rows as `split_rows` gives them.
+
+    Halves lie 0.6 deviations to either side and are 0.65 times as long: together they keep the
+    centre and 0.88 of the deviation (0.6^2 + 0.65^2 = 0.88^2).
+    """
+    parts = [gaussians.select(whole)]
+    for rows, way in ((first, 1), (second, -1)):
+        cut = gaussians.select(rows)
+        longest = cut.log_scales.argmax(dim=1)[:, None]
+        axes = quat_to_matrix(cut.quats)
+        axis = axes.gather(2, longest[:, None].expand(-1, 3, 1))[:, :, 0]
+        step = REFINE.apart * cut.log_scales.amax(dim=1, keepdim=True).exp() * axis
+        shorter = torch.full_like(cut.log_scales[:, :1], math.log(REFINE.shorter))
+        parts.append(
+            replace(
+                cut,
+                means=cut.means + way * step,
+                log_scales=cut.log_scales.scatter_add(1, longest, shorter),
+            )
+        )
+    return concatenate(parts)
 
 
 @dataclass(frozen=True)
@@ -57,7 +228,7 @@ class ViewLoss:
     @property
     def total(self) -> Tensor:
         """The weighted sum."""
-        return self.colour + OUTLINE_WEIGHT * self.outline
+        return self.colour + REFINE.outline_weight * self.outline
 
 
 def view_loss(
@@ -82,28 +253,9 @@ def view_loss(
     wanted = layers.mask * layers.through
     missed = (drawn.alpha * layers.through - wanted).abs() * layers.trust
     return ViewLoss(
-        photometric_loss(shown, layers.target, SSIM_WEIGHT) / area,
+        photometric_loss(shown, layers.target, REFINE.ssim_weight) / area,
         missed.sum() / layers.compared.sum().clamp(min=1.0),
     )
-
-
-@dataclass(frozen=True)
-class Steps:
-    """How long the descents are.
-
-    Attributes:
-        shape: steps of the whole body.
-        paint: steps of the colours alone, with which the second descent begins.
-        free: steps of every Gaussian after that, at most.
-        look_every: steps between looks at the held-back images.
-        patience: looks without a better loss after which the second descent ends.
-    """
-
-    shape: int = 120
-    paint: int = 80
-    free: int = 1200
-    look_every: int = 50
-    patience: int = 4
 
 
 @dataclass(frozen=True)
@@ -137,11 +289,11 @@ class RefinementTask:
         view = self.views[picked_view(self.seed, step, len(self.views))]
         weight = view.sighting.weight
         chance = torch.rand((), generator=generator(self.seed, step, _MIRRORS))
-        if self.symmetric and float(chance) < _MIRROR_CHANCE:
+        if self.symmetric and float(chance) < REFINE.mirror_chance:
             if seen is not None:
                 gaussians = _held(gaussians, seen)
             gaussians = mirrored(gaussians, torch.ones(len(gaussians), dtype=torch.bool))
-            weight *= _MIRROR_WEIGHT
+            weight *= REFINE.mirror_weight
         offset = poses.at(view.sighting.timestamp_us)
         return weight * view_loss(gaussians, self.low_pass, view, offset).total
 
@@ -176,20 +328,23 @@ def fit_shape(
     surface = outer_surface(prior)
     points = torch.from_numpy(surface.points).float()
     normals = torch.from_numpy(surface.normals).float()
-    lidar = torch.from_numpy(thinned(hits, _LIDAR_POINTS))
+    lidar = torch.from_numpy(thinned(hits, REFINE.lidar_points))
     nearest = torch.zeros(0, dtype=torch.int64)
     parameters = {**bend.parameters(), "poses": poses.values}
-    optimiser = _adam(parameters, {**_SHAPE_RATES, "poses": _POSE_RATE})
+    optimiser = _adam(parameters, REFINE.shape_rates())
     for index in range(task.steps.shape):
         loss = task.image_loss(bend(prior), poses, index)
         if len(lidar):
             placed = bend.points(points)
-            if index % _NEAREST_EVERY == 0:
+            if index % REFINE.nearest_every == 0:
                 _, found = cKDTree(placed.detach().numpy()).query(lidar.numpy())
                 nearest = torch.from_numpy(found)
             gap = ((lidar - placed[nearest]) * normals[nearest]).sum(-1)
-            loss = loss + _LIDAR * torch.log1p((gap / _LIDAR_NOISE).square()).mean()
-        loss = loss + _STRAIN * (bend.strain() + poses.roughness())
+            loss = (
+                loss
+                + REFINE.lidar_weight * torch.log1p((gap / REFINE.lidar_noise_m).square()).mean()
+            )
+        loss = loss + REFINE.strain_weight * (bend.strain() + poses.roughness())
         _descend(optimiser, loss, index / task.steps.shape, parameters)
         step()
 
@@ -213,7 +368,7 @@ class FreeDescent:
     ) -> None:
         self.task, self.free, self.poses, self._seen = task, free, poses, seen
         self._parameters = {**free.changes, "poses": poses.values}
-        self._optimiser = _adam(self._parameters, {**_FREE_RATES, "poses": 0.3 * _POSE_RATE})
+        self._optimiser = _adam(self._parameters, REFINE.free_rates())
         self.index, self._worse = 0, 0
         self.best, self.best_loss = free().detach(), math.inf
 
@@ -230,7 +385,7 @@ class FreeDescent:
     def step(self) -> None:
         """One step: colours alone at first, then everything; a look now and then."""
         loss = self.task.image_loss(self.free(), self.poses, self.index, self._seen)
-        loss = loss + self.free.strain() + _STRAIN * self.poses.roughness()
+        loss = loss + self.free.strain() + REFINE.strain_weight * self.poses.roughness()
         moved = {"sh"} if self.index < self.task.steps.paint else set(self._parameters)
         _descend(self._optimiser, loss, self.index / self.steps, moved)
         self.index += 1
@@ -294,5 +449,5 @@ def _descend(optimiser: torch.optim.Adam, loss: Tensor, share: float, moved: Ite
     optimiser.zero_grad()
     loss.backward()
     for group in optimiser.param_groups:
-        group["lr"] = group["rate"] * _FALL**share if group["name"] in moved else 0.0
+        group["lr"] = group["rate"] * REFINE.rate_fall**share if group["name"] in moved else 0.0
     optimiser.step()

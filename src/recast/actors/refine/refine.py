@@ -20,29 +20,25 @@ from numpy.typing import NDArray
 from recast.actors.actor import Actor, Refinement, triple
 from recast.actors.evidence import Evidence
 from recast.actors.insert import darkened
-from recast.actors.refine.descent import FreeDescent, RefinementTask, Steps, fit_shape
-from recast.actors.refine.parameters import (
+from recast.actors.refine.descent import (
     FIELDS,
     Bend,
+    FreeDescent,
     FreeGaussians,
     PoseOffsets,
+    RefinementTask,
+    fit_shape,
     split,
     split_rows,
 )
-from recast.actors.refine.surroundings import make_layers, shadow_evidence
-from recast.actors.refine.visibility import follow_paint, visibility_of
+from recast.actors.refine.images import follow_paint, make_layers, shadow_evidence, visibility_of
+from recast.actors.refine.settings import REFINE, Steps
 from recast.core.progress import Progress
 from recast.logs import Trajectory
 from recast.scene import StreetScene
-from recast.scene.dynamic import DEFORMABLE
-from recast.scene.tensor_file import read_tensors, write_tensors
+from recast.scene.poses import DEFORMABLE
+from recast.scene.store import read_tensors, write_tensors
 from recast.splats import Gaussians
-
-LEAST_IMAGES = 5
-"""Fewer images than this cannot both teach and judge."""
-_HOLD_BACK = 10
-_SPLIT = 0.5  # trusted share of a Gaussian from which on it is split
-_SURFACE_OPACITY = 0.3
 
 
 def refine(
@@ -76,14 +72,14 @@ def refine(
             f"refine: evidence is of track {evidence.track_id}, actor of {actor.track_id}"
         )
     count = len(evidence.sightings)
-    if count < LEAST_IMAGES:
-        note = f"not refined: {count} usable images, at least {LEAST_IMAGES} are needed"
+    if count < REFINE.least_images:
+        note = f"not refined: {count} usable images, at least {REFINE.least_images} are needed"
         left_out = dict(Counter(evidence.left_out))
         return _reported(actor, Refinement(images=count, left_out=left_out, notes=(note,)))
     views = make_layers(scene, evidence, actor.shadow)
     told = shadow_evidence(actor, scene, views)
     views = [replace(view, shade=told.darkness * view.shade) for view in views]
-    held = views[_HOLD_BACK // 2 :: _HOLD_BACK] or [views[count // 2]]
+    held = views[REFINE.hold_back // 2 :: REFINE.hold_back] or [views[count // 2]]
     kept = [view for view in views if view not in held]
     symmetric = actor.category not in DEFORMABLE
     task = RefinementTask(kept, held, actor.low_pass, symmetric, seed, steps or Steps())
@@ -98,7 +94,7 @@ def refine(
     loss_before, loss_bent = task.judged(actor.gaussians, None), task.judged(bent, poses)
     shares = visible.shares
     known = shares.seen + shares.mirrored
-    source = split_rows(bent, visible.shown & (known > _SPLIT))
+    source = split_rows(bent, visible.shown & (known > REFINE.split_from))
     finer, visible = split(bent, *source), visible.select(torch.cat(source))
     shares = visible.shares
     free = FreeGaussians(finer, visible.freedom(finer))
@@ -202,5 +198,5 @@ def _corrected(trajectory: Trajectory, poses: PoseOffsets) -> Trajectory:
 def _surface_share(gaussians: Gaussians, share: torch.Tensor) -> float:
     """Mean share (N,) over the opaque Gaussians, by the area of their discs."""
     area = gaussians.log_scales.sort(dim=1).values[:, 1:].sum(dim=1).exp()
-    area = area * (gaussians.logit_opacities.sigmoid() > _SURFACE_OPACITY)
+    area = area * (gaussians.logit_opacities.sigmoid() > REFINE.surface_opacity)
     return float((area * share).sum()) / max(float(area.sum()), 1e-12)

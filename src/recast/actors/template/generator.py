@@ -9,7 +9,7 @@ from functools import partial
 import numpy as np
 
 from recast.actors.axes import VEHICLE
-from recast.actors.generate import Asset
+from recast.actors.generate import Asset, BaseGenerator
 from recast.actors.observation import Observation
 from recast.actors.template.body import TemplateBody
 from recast.actors.template.cloud import (
@@ -54,7 +54,7 @@ _BACKING_CELL = 0.10
 _VIEW_DEPENDENCE = 0.3  # of the model's changing reflections, how much a photographed patch keeps
 
 
-class TemplateGenerator:
+class TemplateGenerator(BaseGenerator):
     """Parametric vehicle in the style of AutoSplat's template: class shape, symmetry, photographs.
 
     A body of the class, bent to the LiDAR points and the outlines of the masks, with wheels,

@@ -1,1 +1,1 @@
-"""What commands print: tables for people, and rows for `recast.cli.output.print_json`."""
+"""What commands print: tables for people, and rows for `recast.cli.shared.print_json`."""

@@ -6,16 +6,15 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from recast.cli.output import Rows, with_unit
+from recast.cli.shared import Rows, with_unit
 from recast.metrics import COLUMNS
-from recast.metrics.pairs import Bootstrap
 from recast.metrics.scene_level.summary import LevelRow
+from recast.metrics.table import Bootstrap
 from recast.metrics.trust import Reliability
-from recast.runs.layout import METRICS_FILE
+from recast.runs.run_folder import METRICS_FILE
 from recast.runs.scores import read_metrics
-from recast.studies.results import GridResults
-from recast.studies.verdict_parts import PartLoss
-from recast.studies.verdicts import VerdictCounts
+from recast.studies.closed_loop import GridResults
+from recast.studies.verdicts import PartLoss, VerdictCounts
 
 
 def run_rows(folder: Path) -> Rows:

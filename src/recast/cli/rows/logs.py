@@ -12,11 +12,11 @@ from rich.console import RenderableType
 from rich.table import Table
 from rich.text import Text
 
-from recast.cli.output import Rows, without_images
+from recast.cli.shared import Rows, without_images
 from recast.core.errors import printable
 from recast.logs.info import LogInfo, TrackInfo
 from recast.logs.plausibility import Figures
-from recast.scene import RegionScore, SceneEvaluation
+from recast.reconstruction import RegionScore, SceneEvaluation
 from recast.scene.imported import ImportRecord
 
 Cell = Callable[[TrackInfo], str]
@@ -254,13 +254,8 @@ def evaluation_rows(evaluation: SceneEvaluation) -> Rows:
 
 
 def _region(name: str, images: int, score: RegionScore | None) -> dict[str, Any]:
-    return {
-        "region": name,
-        "images": images,
-        "psnr_db": None if score is None else score.psnr,
-        "ssim": None if score is None else score.ssim,
-        "lpips": None if score is None else score.lpips,
-    }
+    psnr, ssim, lpips = (None,) * 3 if score is None else (score.psnr, score.ssim, score.lpips)
+    return {"region": name, "images": images, "psnr_db": psnr, "ssim": ssim, "lpips": lpips}
 
 
 def _depth(depth: Any) -> dict[str, Any]:

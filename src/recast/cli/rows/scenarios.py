@@ -1,33 +1,93 @@
-"""Scenarios on a log, looked at before anything runs: a image, tables and rows."""
+"""Scenarios with their numbers, and scenarios on a log, looked at before anything runs.
+
+A list of scenarios needs no torch: what places them on a log is imported when it is used."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from PIL import Image
+from rich.box import SIMPLE_HEAD
 from rich.console import Console
+from rich.table import Table
+from rich.text import Text
 
-from recast.cli.output import Rows
+from recast.cli.shared import Rows, with_unit
 from recast.core import files
 from recast.core.errors import InputError, printable
-from recast.logs import DrivingLog, map_of, read_log
-from recast.reporting.scenario_preview import (
-    ScenarioFacts,
-    draw_scenarios,
-    facts_table,
-    notes,
-    scenario_facts,
+from recast.simulation import MOTIONS, ScriptedMotion, parse_motions, scenario_name
+from recast.simulation.scenario import (
+    MOTION_SCHEMAS,
+    further_actors,
+    kind_of,
+    motion_numbers,
+    scenario_numbers,
+    target_motion,
 )
-from recast.simulation import (
-    PreparedRollout,
-    RolloutSetup,
-    parse_motions,
-    prepare,
-    scenario_name,
-)
+
+if TYPE_CHECKING:
+    from recast.logs import DrivingLog
+    from recast.reporting.scenario_preview import ScenarioFacts
+    from recast.simulation import PreparedRollout, RolloutSetup
+
+
+def scenario_rows(names: Sequence[str]) -> Rows:
+    """One row for each scenario, and one for each further actor of a scenario.
+
+    Raises:
+        InputError: an unknown name or a faulty file.
+    """
+    found, actors = [], []
+    for motion in _motions(names):
+        name = scenario_name(motion)
+        found.append(
+            {"scenario": name, "description": motion.description, **_numbers(target_motion(motion))}
+        )
+        actors += [
+            {"scenario": name, "track_id": actor.track_id, **_numbers(actor.motion)}
+            for actor in further_actors(motion)
+        ]
+    return {"scenarios": found, "further_actors": actors}
+
+
+def list_scenarios(names: Sequence[str], console: Console) -> None:
+    """Print the scenarios that names and files stand for; where none is given, all built in.
+
+    Raises:
+        InputError: an unknown name or a faulty file.
+    """
+    console.print(_table(_motions(names)))
+
+
+def _motions(names: Sequence[str]) -> list[ScriptedMotion]:
+    """What names and files stand for; all that are built in if none is given."""
+    return [one for name in names for one in parse_motions(name)] or list(MOTIONS.values())
+
+
+def _table(motions: Sequence[ScriptedMotion]) -> Table:
+    """Scenarios with their numbers and units, one a row."""
+    table = Table(box=SIMPLE_HEAD)
+    for heading in ("scenario", "numbers", "what happens"):
+        table.add_column(heading)
+    for motion in motions:
+        numbers = scenario_numbers(motion)
+        # as text: a description is no markup
+        table.add_row(
+            scenario_name(motion), "\n".join(numbers), Text(printable(motion.description))
+        )
+    return table
+
+
+def _numbers(motion: Any) -> dict[str, Any]:
+    kind = kind_of(motion)
+    quantities = {} if kind is None else MOTION_SCHEMAS[kind].quantities
+    numbers = motion_numbers(motion)
+    return {
+        "motion": kind or motion.name,
+        **{with_unit(name, quantities[name].unit): value for name, value in numbers.items()},
+    }
 
 
 @dataclass(frozen=True)
@@ -52,6 +112,10 @@ def place_scenarios(
     Args:
         track: track to control; None for the target of a synthetic log, or the first track.
     """
+    from recast.logs import map_of, read_log
+    from recast.reporting.scenario_preview import scenario_facts
+    from recast.simulation import RolloutSetup, prepare
+
     motions = {scenario_name(m): m for name in names for m in parse_motions(name)}
     log = read_log(log_path)
     track = target_of(log) if track is None else track
@@ -107,6 +171,10 @@ def show_scenarios(placed: Sequence[PlacedScenario], out: Path, console: Console
     Raises:
         InputError: `out` is no PNG, every scenario is refused on this log, or the disk refuses.
     """
+    from PIL import Image
+
+    from recast.reporting.scenario_preview import draw_scenarios, facts_table, notes
+
     if out.suffix.lower() != ".png":
         raise InputError(out, "--out", "is not a PNG", "end its name in .png")
     for one in placed:

@@ -6,20 +6,20 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from recast.actors.actor import CandidateRecord
-from recast.cli.output import Rows, with_unit
+from recast.cli.shared import Rows, with_unit
 from recast.core.errors import InputError
 from recast.recar.statistics import SetStatistics
-from recast.recar.targets import TargetCache
-from recast.recar.targets.builder import TargetStatistics
+from recast.recar.target_cache import TargetCache
+from recast.recar.targets import TargetStatistics
 from recast.recar.turntable import TurntableFit
-from recast.recar.views import VehicleSource
+from recast.recar.vehicle_set import VehicleSet
 from recast.studies.actors import ActorEvaluation, TrackResult
-from recast.studies.generation.summary import STUDY_COLUMNS, StudyBlock
+from recast.studies.generation.report import STUDY_COLUMNS, StudyBlock
 from recast.trellis.checkpoints import ModelCheck
 
 
 def camera_rows(
-    vehicle_set: VehicleSource, fits: Mapping[str, TurntableFit | InputError]
+    vehicle_set: VehicleSet, fits: Mapping[str, TurntableFit | InputError]
 ) -> dict[str, list[dict[str, Any]]]:
     """Camera of each vehicle of a turntable; `centre` is the box centre's mean offset.
 
@@ -56,25 +56,27 @@ def candidate_rows(candidates: Sequence[CandidateRecord]) -> Rows:
 
     Shares are fractions (0 to 1).
     """
-    rows = []
-    for one in candidates:
-        score = one.score
-        rows.append(
+    of_score = {
+        "fits": "fits",
+        "outline_iou": "outline",
+        "lidar_share": "lidar",
+        "lidar_median_m": "lidar_median",
+        "free_space_share": "free",
+        "colour_difference": "colour",
+        "score": "total",
+    }
+    return {
+        "candidates": [
             {
-                "generator": one.generator,
-                "seed": one.seed,
-                "label": one.label,
-                "chosen": one.chosen,
-                "fits": None if score is None else score.fits,
-                "outline_iou": None if score is None else score.outline,
-                "lidar_share": None if score is None else score.lidar,
-                "lidar_median_m": None if score is None else score.lidar_median,
-                "free_space_share": None if score is None else score.free,
-                "colour_difference": None if score is None else score.colour,
-                "score": None if score is None else score.total,
+                **{key: getattr(one, key) for key in ("generator", "seed", "label", "chosen")},
+                **{
+                    key: None if one.score is None else getattr(one.score, name)
+                    for key, name in of_score.items()
+                },
             }
-        )
-    return {"candidates": rows}
+            for one in candidates
+        ]
+    }
 
 
 def actor_rows(evaluation: ActorEvaluation) -> Rows:
@@ -193,6 +195,8 @@ def set_rows(statistics: SetStatistics) -> Rows:
         "held_out": statistics.splits["held-out"],
         "pictures": statistics.pictures,
         "size_bytes": statistics.bytes,
+        "decided": statistics.decided,
+        "left_out": statistics.left_out,
     }
     sizes = statistics.sizes or ()
     return {
@@ -200,12 +204,7 @@ def set_rows(statistics: SetStatistics) -> Rows:
         "kinds": _counts("kind", statistics.kinds),
         "colours": _counts("colour", statistics.colours),
         "sizes": [
-            {
-                "statistic": statistic,
-                "length_m": size[0],
-                "width_m": size[1],
-                "height_m": size[2],
-            }
+            {"statistic": statistic, "length_m": size[0], "width_m": size[1], "height_m": size[2]}
             for statistic, size in zip(("minimum", "median", "maximum"), sizes, strict=False)
         ],
     }

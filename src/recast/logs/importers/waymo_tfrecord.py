@@ -32,8 +32,6 @@ from recast.logs.importers.waymo_segment import (
     Place,
     Segment,
     WaymoCamera,
-)
-from recast.logs.importers.waymo_values import (
     camera_calibration,
     frame_time,
     image_entry,

@@ -24,7 +24,7 @@ from recast.core.records import Record, read_record
 from recast.geometry import boxes, se3
 from recast.logs import DrivingLog
 from recast.metrics.oracle_scores import box_pixels
-from recast.scene.scores import Rectangle
+from recast.reconstruction.scores import Rectangle
 
 FRAMES_FILE, REFERENCES_FILE = "frames.json", "references.json"
 _VERSION: Literal[1] = 1
@@ -132,10 +132,7 @@ def visible_share(
 
 
 def logged_frames(
-    log: DrivingLog,
-    track_id: str,
-    cameras: Iterable[tuple[str, PinholeCamera]],
-    rule: FrameRule,
+    log: DrivingLog, track_id: str, cameras: Iterable[tuple[str, PinholeCamera]], rule: FrameRule
 ) -> Iterator[LoggedFrame]:
     """Logged images in which a vehicle's box counts and no other labelled box hides it.
 

@@ -37,7 +37,7 @@ from recast.metrics.features import ToyFeatures
 from recast.metrics.inception import load_inception
 from recast.metrics.perceptual import load_lpips
 from recast.pretrained import Clip, checked_scores, load_vqa_scorer, square_crop
-from recast.scene.scores import Rectangle
+from recast.reconstruction.scores import Rectangle
 
 Features = Mapping[str, NDArray[np.generic]]
 Measure = Callable[[Sequence[Image]], NDArray[np.generic]]
@@ -279,7 +279,6 @@ def image_scores(features: Features, references: Features, compared: Array) -> d
     """Scores (N,) of the images of an arm in a scene, by column; those there are networks for.
 
     Args:
-        features: features of the arm's images.
         references: features of the scene's logged images.
         compared: (K,) indices of the references that crops are compared with.
     """

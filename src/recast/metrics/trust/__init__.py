@@ -1,22 +1,29 @@
 """How far to trust the verdict of a rollout, from what is known without the truth."""
 
-from recast.metrics.trust.calibration import (
-    TrustCalibration,
-    calibrate,
-    packaged_calibration,
-    read_calibration,
-    write_calibration,
+from recast.metrics.trust.features import (
+    FEATURES,
+    Feature,
+    GivenCamera,
+    HeldOutFrame,
+    RecordedViews,
+    TrustFeatures,
+    trust_features,
 )
-from recast.metrics.trust.features import FEATURES, Feature, TrustFeatures, trust_features
-from recast.metrics.trust.judge import SIGHTLESS, RolloutTrust, judge
-from recast.metrics.trust.reliability import (
+from recast.metrics.trust.model import (
+    SIGHTLESS,
     JudgedRollout,
     Reliability,
     ReliabilityBin,
+    RolloutTrust,
+    TrustCalibration,
     area_under_roc,
+    calibrate,
+    judge,
+    packaged_calibration,
+    read_calibration,
     reliability,
+    write_calibration,
 )
-from recast.metrics.trust.views import GivenCamera, HeldOutFrame, RecordedViews
 
 __all__ = [
     "FEATURES",

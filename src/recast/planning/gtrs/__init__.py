@@ -1,6 +1,6 @@
 """GTRS-Dense: scores a vocabulary of trajectories against camera images."""
 
-from recast.cameras.lens_images import Lens
+from recast.cameras.lenses import Lens
 from recast.cameras.mounts import nuplan_rig
 from recast.planning.gtrs.config import (
     NUPLAN_VIRTUAL,

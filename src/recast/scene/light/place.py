@@ -15,8 +15,7 @@ from torch import Tensor
 from recast.arrays import Array
 from recast.geometry import se3
 from recast.geometry.colour import gamma_to_linear
-from recast.scene.light.sun import SUN_OVER_SKY, SunBelief, find_sun
-from recast.scene.light.surfaces import Patches, street_surfaces
+from recast.scene.light.sun import SUN_OVER_SKY, Patches, SunBelief, find_sun, street_surfaces
 from recast.scene.street_scene import StreetScene
 from recast.splats.sh import basis, rotate
 

@@ -13,11 +13,10 @@ from scipy.spatial import cKDTree
 from torch import Tensor
 
 from recast.arrays import Array
-from recast.geometry import se3
 from recast.geometry.colour import GAMMA
+from recast.scene.actor import SceneActor, rounded
 from recast.scene.light.place import LitSurface, PlaceLight, SceneLight, near_stations
 from recast.scene.light.sun import AZIMUTHS, directions
-from recast.scene.street_scene import SceneActor
 from recast.splats import Gaussians
 from recast.splats.sh import C0
 
@@ -41,7 +40,6 @@ _DARKENING, _BRIGHTENING = 0.9, 0.3
 what is bright, and generators know usual light: their shaded colours are not as dark as shade."""
 _RATIO = (0.1, 6.0)
 _LEAST_LIT = 0.02  # display value
-_PLACE_M, _TURN = 0.1, 0.005  # grid of metres, and of a quaternion's components
 
 
 class ActorLight:
@@ -86,13 +84,6 @@ class ActorLight:
             yaw = float(np.arctan2(pose[1, 0], pose[0, 0]))
             shadow = self.shadow.sheet(self.scene, place, yaw)
         return replace(actor, gaussians=gaussians, shadow=shadow, light=None)
-
-
-def rounded(pose: Array) -> Array:
-    """A pose (4, 4) on a grid of 10 cm and half a degree: light is worked out once for each."""
-    quat = np.round(se3.matrix_to_quat(pose[:3, :3]) / _TURN) * _TURN
-    place = np.round(pose[:3, 3] / _PLACE_M) * _PLACE_M
-    return se3.from_rotation_translation(se3.quat_to_matrix(quat), place)
 
 
 def recorded_light(

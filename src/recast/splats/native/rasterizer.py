@@ -16,8 +16,8 @@ from torch import Tensor
 
 from recast.kernel import Gradients, KernelPart, KernelView, find, library
 from recast.splats.gaussians import Gaussians
-from recast.splats.low_pass import LowPass
 from recast.splats.rasterization import (
+    LowPass,
     RasterImages,
     Rasterization,
     RasterMeta,
@@ -25,7 +25,7 @@ from recast.splats.rasterization import (
 )
 
 if TYPE_CHECKING:
-    from recast.splats.frozen import FrozenTables
+    from recast.splats.rasterize import FrozenTables
 
 _KEEP = 16
 _LINE = 64  # bytes of a cache line: the kernel writes large gradients by whole lines

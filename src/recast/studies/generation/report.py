@@ -1,40 +1,188 @@
-"""The results of a generation study in files and on the terminal, and the paper's to set beside.
-
-The paper's (RECAST, section 5, Q3) are of its held-out RECAR vehicles and the published weights; on
-another set they say what to expect of the order, not of the values.
-"""
+"""The table of a generation study, and how sure it is that one model is better than another."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass
+from itertools import pairwise
 from typing import Any
 
+import numpy as np
 from rich.table import Table
 
-from recast.metrics.table import rounded
-from recast.studies.generation.summary import (
-    STUDY_COLUMNS,
-    StudyBlock,
-    StudyRow,
-)
+from recast.metrics.actor_scores import ACTOR_COLUMNS, ActorColumn, mean_scores
+from recast.metrics.features import FEATURE_KINDS
+from recast.metrics.frechet import frechet_distance
+from recast.metrics.table import SAMPLES, Bootstrap, cluster_bootstrap, rounded
+from recast.studies.generation.cells import StudyCell
+from recast.studies.generation.rows import PAPER_COLUMNS, PAPER_ROWS
 
-PAPER_COLUMNS = ("psnr", "ssim", "lpips", "clip", "fd_inception", "fd_dino")
-"""Scores in the paper's order, keys of `STUDY_COLUMNS`."""
-_ROWS = {
-    "Real3D": (13.19, 0.5691, 0.3223, 68.17, 91.196, 1282.01),
-    "LN3Diff": (18.95, 0.8843, 0.1105, 63.03, 93.288, 1455.05),
-    "3DTopia-XL": (15.54, 0.8085, 0.1817, 59.90, 166.294, 1299.59),
-    "SAR3D": (15.39, 0.8231, 0.1588, 66.55, 64.042, 746.99),
-    "Asset Harvester": (19.22, 0.8792, 0.1044, 78.29, 38.368, 183.08),
-    "TRELLIS": (21.02, 0.9077, 0.0603, 78.22, 9.788, 43.89),
-    "Stage I only": (22.90, 0.9178, 0.0534, 78.30, 8.176, 36.94),
-    "both stages": (22.90, 0.9179, 0.0532, 78.38, 7.992, 36.47),
+STUDY_COLUMNS: Mapping[str, ActorColumn] = {
+    **ACTOR_COLUMNS,
+    "toy": ActorColumn("toy distance", "", False, 4),
+    "fd_inception": ActorColumn("FD Inception", "", False, 3),
+    "fd_dino": ActorColumn("FD DINOv2", "", False, 2),
+    "fd_toy": ActorColumn("FD toy", "", False, 4),
 }
-PAPER_ROWS: Mapping[str, Mapping[str, float]] = {
-    row: dict(zip(PAPER_COLUMNS, values, strict=True)) for row, values in _ROWS.items()
-}
-"""Scores by name of the row and key of `STUDY_COLUMNS`. The last three are the ablation."""
+"""Scores in the order of the table. Those that begin with `fd_` are of all pictures together."""
+
+
+@dataclass(frozen=True)
+class StudyRow:
+    """A model's line of a table.
+
+    Attributes:
+        made: vehicles that it made, of all it was asked for.
+        scores: means over the block's vehicles, each counting the same, and Frechet distances.
+    """
+
+    model: str
+    made: int
+    scores: Mapping[str, float]
+
+
+@dataclass(frozen=True)
+class StudyDifference:
+    """Candidate minus baseline over the block's vehicles, which are drawn whole.
+
+    Attributes:
+        candidate, baseline: names of models.
+        score: key of `STUDY_COLUMNS`.
+        interval: the mean difference and its interval.
+    """
+
+    candidate: str
+    baseline: str
+    score: str
+    interval: Bootstrap
+
+    @property
+    def better(self) -> str | None:
+        """The model that the interval says is better; None where it holds zero."""
+        if self.interval.low <= 0.0 <= self.interval.high:
+            return None
+        higher = self.candidate if self.interval.low > 0 else self.baseline
+        lower = self.baseline if self.interval.low > 0 else self.candidate
+        return higher if STUDY_COLUMNS[self.score].higher else lower
+
+
+@dataclass(frozen=True)
+class StudyBlock:
+    """One condition, such as clean inputs.
+
+    Attributes:
+        identities: vehicles that every model made; all figures are over these.
+        views: pictures that they were compared in.
+        failures: reason why a vehicle could not be made, by model and vehicle.
+        vehicles: mean scores over a vehicle's views, by vehicle and model.
+    """
+
+    condition: str
+    identities: tuple[str, ...]
+    views: int
+    failures: Mapping[str, Mapping[str, str]]
+    rows: tuple[StudyRow, ...]
+    differences: tuple[StudyDifference, ...]
+    vehicles: Mapping[str, Mapping[str, Mapping[str, float]]]
+
+
+def summarize(
+    condition: str,
+    cells: Mapping[str, Sequence[StudyCell]],
+    truth: Mapping[str, StudyCell],
+    *,
+    seed: int = 0,
+    samples: int = SAMPLES,
+) -> StudyBlock:
+    """Table and paired differences of one condition.
+
+    Args:
+        cells: cells by model, one for every vehicle.
+        truth: the photographs' features, by vehicle.
+        seed: seed of the bootstrap; every difference sees the same draws.
+        samples: number of bootstrap samples.
+
+    Raises:
+        ValueError: no vehicle was made by every model.
+    """
+    failures = {
+        model: {cell.id: cell.failure for cell in mine if cell.failure is not None}
+        for model, mine in cells.items()
+    }
+    identities = tuple(id for id in truth if not any(id in failed for failed in failures.values()))
+    if not identities:
+        raise ValueError(
+            f"summarize: there is no vehicle that every model made from {condition} inputs"
+        )
+    chosen = {
+        model: {cell.id: cell for cell in mine if cell.id in set(identities)}
+        for model, mine in cells.items()
+    }
+    scored = {
+        model: {id: view_scores(mine[id], truth[id]) for id in identities}
+        for model, mine in chosen.items()
+    }
+    vehicles = {id: {model: mean_scores(scored[model][id]) for model in cells} for id in identities}
+    rows = []
+    for model in cells:
+        means = mean_scores([vehicles[id][model] for id in identities])
+        means |= _frechet(
+            [chosen[model][id] for id in identities], [truth[id] for id in identities]
+        )
+        ordered = {key: means[key] for key in STUDY_COLUMNS if key in means}
+        rows.append(StudyRow(model, len(cells[model]) - len(failures[model]), ordered))
+    differences = [
+        StudyDifference(candidate, baseline, key, interval)
+        for baseline, candidate in pairwise(cells)
+        for key in STUDY_COLUMNS
+        if key in vehicles[identities[0]][candidate]
+        for interval in [_interval(scored[candidate], scored[baseline], key, seed, samples)]
+    ]
+    views = sum(len(truth[id].views) for id in identities)
+    return StudyBlock(
+        condition, identities, views, failures, tuple(rows), tuple(differences), vehicles
+    )
+
+
+def view_scores(cell: StudyCell, truth: StudyCell) -> list[dict[str, float]]:
+    """Of every view, the scores that a cell holds and those by features."""
+    found = [dict(scores) for scores in cell.scores]
+    for name, features in cell.features.items():
+        kind = FEATURE_KINDS[name]
+        if kind.score is None or kind.compare is None:
+            continue
+        for scores, one, other in zip(found, features, truth.features[name], strict=True):
+            scores[kind.score] = kind.compare(one.astype(np.float64), other.astype(np.float64))
+    return found
+
+
+def _frechet(cells: Sequence[StudyCell], truth: Sequence[StudyCell]) -> dict[str, float]:
+    """Distances between all pictures of a model and all photographs, where there are two."""
+    found: dict[str, float] = {}
+    for name in cells[0].features:
+        column = FEATURE_KINDS[name].frechet
+        drawn = np.concatenate([cell.features[name] for cell in cells])
+        if column is not None and len(drawn) > 1:
+            photographs = np.concatenate([cell.features[name] for cell in truth])
+            found[column] = frechet_distance(drawn, photographs)
+    return found
+
+
+def _interval(
+    candidate: Mapping[str, Sequence[Mapping[str, float]]],
+    baseline: Mapping[str, Sequence[Mapping[str, float]]],
+    key: str,
+    seed: int,
+    samples: int,
+) -> Bootstrap:
+    # by vehicle, not by view: a vehicle counts the same however many views it has
+    pairs = [
+        np.mean([one[key] for one in candidate[id]]) - np.mean([one[key] for one in baseline[id]])
+        for id in candidate
+    ]
+    return cluster_bootstrap(pairs, np.random.default_rng(seed), samples)
+
+
 _PLACED = {
     "views": "by the clean conditioning view, as `recast eval actor` places them",
     "canonical": "by the model's own forward axis, scaled by the length of the box",
@@ -46,52 +194,22 @@ _SEEN = {
 }
 
 
-@dataclass(frozen=True)
-class StudyFacts:
-    """What was studied, in plain values that do not depend on where files lie.
+def study_json(facts: Mapping[str, Any], blocks: Sequence[StudyBlock]) -> dict[str, Any]:
+    """All results as plain data, rounded to six decimals.
 
-    Attributes:
-        set: name of the folder.
-        models: models by name: last part of the path or name of the generator, and hash of its
-            content.
-        seed: seed of everything random.
-        placement: see `recast.studies.generation.cell`.
-        perturbations: the configuration; None where all inputs were clean.
-        measures: weights that were given, as `models`.
-        samples: number of bootstrap samples.
-        targets: see `recast.metrics.cases`.
-        beside: rows of the paper by name of the row they stand beside.
+    Args:
+        facts: what was studied, see `recast.studies.generation.study`.
     """
-
-    set: str
-    models: Mapping[str, Mapping[str, str]]
-    seed: int
-    placement: str
-    perturbations: Mapping[str, Any] | None
-    measures: Mapping[str, Mapping[str, str]]
-    samples: int
-    targets: str = "set"
-    beside: Mapping[str, str] = field(default_factory=dict)
-
-    def to_json(self) -> dict[str, Any]:
-        """Plain data."""
-        return asdict(self)
+    return rounded({"version": 1, **facts, "blocks": [_block_json(block) for block in blocks]})
 
 
-def study_json(facts: StudyFacts, blocks: Sequence[StudyBlock]) -> dict[str, Any]:
-    """All results as plain data, rounded to six decimals."""
-    return rounded(
-        {"version": 1, **facts.to_json(), "blocks": [_block_json(block) for block in blocks]}
-    )
-
-
-def study_markdown(facts: StudyFacts, blocks: Sequence[StudyBlock]) -> str:
+def study_markdown(facts: Mapping[str, Any], blocks: Sequence[StudyBlock]) -> str:
     """Tables and paired differences for people."""
-    lines = [f"# Generation study on {facts.set}", ""]
+    lines = [f"# Generation study on {facts['set']}", ""]
     for block in blocks:
         lines += _block_markdown(block)
-    if facts.beside:
-        lines += _paper_markdown(blocks[0], facts.beside)
+    if facts["beside"]:
+        lines += _paper_markdown(blocks[0], facts["beside"])
     lines += ["## How to read it", ""]
     lines += [f"- {note}" for note in _notes(facts, blocks)]
     return "\n".join(lines) + "\n"
@@ -220,17 +338,17 @@ def _paper_lines(block: StudyBlock, beside: Mapping[str, str]) -> _Lines:
     return "ll" + "r" * len(PAPER_COLUMNS), lines
 
 
-def _notes(facts: StudyFacts, blocks: Sequence[StudyBlock]) -> list[str]:
+def _notes(facts: Mapping[str, Any], blocks: Sequence[StudyBlock]) -> list[str]:
     keys = set(blocks[0].rows[0].scores)
     pictures = ", ".join(f"{block.views} {block.condition}" for block in blocks)
     notes = [
         "All models get the same image of a vehicle: one view, chosen by the seed, that is not a "
-        f"target. Views are compared on a black background, {_SEEN[facts.targets]}. Scores are "
+        f"target. Views are compared on a black background, {_SEEN[facts['targets']]}. Scores are "
         "means over the vehicles that every model made; each vehicle has the same weight.",
-        f"Vehicles are placed {_PLACED[facts.placement]}. Images that were drawn elsewhere are "
+        f"Vehicles are placed {_PLACED[facts['placement']]}. Images that were drawn elsewhere are "
         "used as they are.",
-        f"Intervals: percentile bootstrap over vehicles, {facts.samples} samples. `better` names "
-        "the model that the interval favours, if it excludes zero. The intervals cover other "
+        f"Intervals: percentile bootstrap over vehicles, {facts['samples']} samples. `better` "
+        "names the model that the interval favours, if it excludes zero. The intervals cover other "
         "vehicles, not other training runs or seeds.",
         f"FD is the Frechet distance to the photographs of the same views ({pictures}). With few "
         "images it is too large, more so for features with more dimensions. Compare it within a "
@@ -238,7 +356,7 @@ def _notes(facts: StudyFacts, blocks: Sequence[StudyBlock]) -> list[str]:
         "Toy features are 128 handcrafted numbers (colours and gradients in 4 x 4 cells), a "
         "substitute that measures colour and layout. Do not compare them with published figures.",
     ]
-    if facts.perturbations is not None:
+    if facts["perturbations"] is not None:
         notes.append(
             "In the perturbed condition every input is perturbed, whatever `rho_clean` says. All "
             "models get the same perturbed image."

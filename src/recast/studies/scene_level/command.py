@@ -23,13 +23,6 @@ from recast.core.errors import printable
 from recast.core.images import decode_image, rgb
 from recast.core.names import folder_name
 from recast.core.progress import ProgressBar
-from recast.metrics.scene_level.files import (
-    cell,
-    results_json,
-    table_markdown,
-    warnings,
-    write_images,
-)
 from recast.metrics.scene_level.frames import RolloutFrame, read_frames, read_references
 from recast.metrics.scene_level.scores import (
     COLUMNS,
@@ -38,22 +31,34 @@ from recast.metrics.scene_level.scores import (
     Networks,
     load_features,
 )
-from recast.metrics.scene_level.summary import LevelRow, MeasuredScene, summarise
+from recast.metrics.scene_level.summary import (
+    LevelRow,
+    MeasuredScene,
+    cell,
+    results_json,
+    summarise,
+    table_markdown,
+    warnings,
+    write_images,
+)
 from recast.reporting.canvas import at_width
 from recast.runs.display import narrow_table
-from recast.runs.layout import use_name
-from recast.studies.closed_loop import check_grid
+from recast.runs.run_folder import use_name
+from recast.studies.closed_loop import broken_name, check_grid
 from recast.studies.grid import RESULTS_FILE, begin
-from recast.studies.results import broken_name
 from recast.studies.scene_level.request import LevelSettings
-from recast.studies.scene_level.scene import FEATURES, FRAMES, REFERENCES, REPLAY, shown_file
-from recast.studies.scene_level.worker import (
+from recast.studies.scene_level.scene import (
+    FEATURES,
+    FRAMES,
+    REFERENCES,
+    REPLAY,
     LevelTasks,
     LevelWorker,
     measured,
+    shown_file,
 )
 from recast.studies.scene_run import GridTask, SceneOutcome
-from recast.studies.worker import Workers
+from recast.studies.schedule import Workers
 
 MOST_ROWS = 8
 _WIDTH, _HEAD, _GAP = 360, 18, 4

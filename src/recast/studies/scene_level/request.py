@@ -16,9 +16,9 @@ from recast.core.artefact import file_hash, folder_hash
 from recast.core.errors import InputError, require_range
 from recast.geometry import se3
 from recast.metrics.scene_level.frames import FrameRule, RolloutFrame, visible_share
+from recast.reconstruction.scores import Rectangle
 from recast.runs.sources import vqa_source
 from recast.scene import SceneRasterizer, StreetScene
-from recast.scene.scores import Rectangle
 from recast.simulation import Rollout
 from recast.studies.grid import BenchSettings
 from recast.synthetic import Oracle, World

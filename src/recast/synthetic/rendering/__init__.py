@@ -4,11 +4,16 @@
 `synthetic` (embreex) when a scene is made, not when this package is imported.
 """
 
-from recast.synthetic.rendering.camera import CameraFrame, render_camera
-from recast.synthetic.rendering.lidar import WAYMO_TOP, LidarScan, LidarSpec, scan_lidar
 from recast.synthetic.rendering.path_tracing import working_llvm
-from recast.synthetic.rendering.ray_scene import SKY, STREET, Hits, RayScene
-from recast.synthetic.rendering.rays import require_embree
+from recast.synthetic.rendering.rays import SKY, STREET, Hits, RayScene, require_embree
+from recast.synthetic.rendering.sensors import (
+    WAYMO_TOP,
+    CameraFrame,
+    LidarScan,
+    LidarSpec,
+    render_camera,
+    scan_lidar,
+)
 
 __all__ = [
     "SKY",

@@ -20,9 +20,15 @@ import numpy as np
 
 from recast.core.errors import InputError
 from recast.geometry import se3
-from recast.synthetic.rendering.ray_scene import STREET, PosedScene
-from recast.synthetic.rendering.rays import Float32Array, RayMesh, cosine_directions, rows
-from recast.synthetic.rendering.sky import SkyLight
+from recast.synthetic.rendering.lighting import SkyLight
+from recast.synthetic.rendering.rays import (
+    STREET,
+    Float32Array,
+    PosedScene,
+    RayMesh,
+    cosine_directions,
+    rows,
+)
 from recast.synthetic.rendering.surface_points import SurfacePoints
 from recast.synthetic.surface import Surface
 

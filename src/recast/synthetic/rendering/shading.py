@@ -8,7 +8,15 @@ from numpy.typing import NDArray
 from recast.arrays import Array
 from recast.geometry.colour import linear_to_srgb
 from recast.synthetic.rendering import compiled
-from recast.synthetic.rendering.lighting import PI, PLANE_TOLERANCE, Light, incoming, sun_cosine
+from recast.synthetic.rendering.lighting import (
+    HAZE_LENGTH,
+    PI,
+    PLANE_TOLERANCE,
+    Light,
+    SkyLight,
+    incoming,
+    sun_cosine,
+)
 from recast.synthetic.rendering.rays import (
     BoolArray,
     Float32Array,
@@ -19,7 +27,6 @@ from recast.synthetic.rendering.rays import (
     scale,
     scaled,
 )
-from recast.synthetic.rendering.sky import HAZE_LENGTH, SkyLight
 from recast.synthetic.rendering.surface_points import LUMINANCE, TABLE, SurfacePoints, textured
 
 MIRROR_ROUGHNESS = 0.1

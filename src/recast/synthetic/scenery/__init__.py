@@ -4,10 +4,10 @@
 and states raise `InputError`.
 """
 
-from recast.synthetic.scenery.bridges import WALL_STYLES, bridge, guard_rail, wall
 from recast.synthetic.scenery.buildings import BUILDING_STYLES, building
-from recast.synthetic.scenery.fences import FENCE_STYLES, bush, fence, hedge
 from recast.synthetic.scenery.furniture import (
+    SIGN_KINDS,
+    SIGNAL_STATES,
     bench,
     bollard,
     hydrant,
@@ -15,10 +15,19 @@ from recast.synthetic.scenery.furniture import (
     litter_bin,
     parking_meter,
     pole_line,
+    road_sign,
+    traffic_signal,
 )
-from recast.synthetic.scenery.industry import container, hoarding, pallets
-from recast.synthetic.scenery.signs import SIGN_KINDS, SIGNAL_STATES, road_sign, traffic_signal
-from recast.synthetic.scenery.trees import TREE_STYLES, tree
+from recast.synthetic.scenery.industry import (
+    WALL_STYLES,
+    bridge,
+    container,
+    guard_rail,
+    hoarding,
+    pallets,
+    wall,
+)
+from recast.synthetic.scenery.trees import FENCE_STYLES, TREE_STYLES, bush, fence, hedge, tree
 
 __all__ = [
     "BUILDING_STYLES",

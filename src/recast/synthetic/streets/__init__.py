@@ -8,11 +8,20 @@ import numpy as np
 from numpy.random import Generator
 
 from recast.core.errors import InputError
-from recast.synthetic.streets.outskirts import arterial_median, industrial, underpass
-from recast.synthetic.streets.roundabout import roundabout_approach
+from recast.synthetic.streets.outskirts import (
+    arterial_median,
+    industrial,
+    roundabout_approach,
+    underpass,
+)
 from recast.synthetic.streets.site import EGO_START, Site
-from recast.synthetic.streets.town import parked_street, signalled_intersection, urban_straight
-from recast.synthetic.streets.winding import rural_two_lane, suburban_curve
+from recast.synthetic.streets.town import (
+    parked_street,
+    rural_two_lane,
+    signalled_intersection,
+    suburban_curve,
+    urban_straight,
+)
 from recast.synthetic.world import Street
 
 __all__ = ["EGO_START", "SCENES", "make_street"]

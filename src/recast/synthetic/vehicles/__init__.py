@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from recast.synthetic.scenery.primitives import at
-from recast.synthetic.surface import concatenate
+from recast.synthetic.surface import at, concatenate
+from recast.synthetic.vehicles.bodywork import Parts
 from recast.synthetic.vehicles.cars import car
-from recast.synthetic.vehicles.fittings import Parts
 from recast.synthetic.vehicles.heavy import box_truck, bus
 from recast.synthetic.vehicles.parameters import (
     COLOURS,

@@ -5,10 +5,19 @@ from __future__ import annotations
 import numpy as np
 
 from recast.arrays import Array
-from recast.synthetic.scenery.primitives import at
-from recast.synthetic.vehicles import fittings
-from recast.synthetic.vehicles.bodywork import doors, front_face, rear_face, seam
-from recast.synthetic.vehicles.fittings import Parts, SideGlass, screen, side_windows, wheel
+from recast.synthetic.surface import at
+from recast.synthetic.vehicles import bodywork
+from recast.synthetic.vehicles.bodywork import (
+    Parts,
+    SideGlass,
+    doors,
+    front_face,
+    rear_face,
+    screen,
+    seam,
+    side_windows,
+    wheel,
+)
 from recast.synthetic.vehicles.loft import LoftedBody, LoftProfile, underside, wheel_wells
 from recast.synthetic.vehicles.parameters import VehicleSizes
 from recast.synthetic.vehicles.solid import (
@@ -208,7 +217,7 @@ def car(p: VehicleSizes, paint: Finish) -> Parts:
         open_bed(solid, p, deck, -end)
     parts: Parts = [("body", solid.mirrored().surface()), *set_in]
     side = _fittings(p, body, paint, cowl, edges, brow, gutter)
-    return parts + fittings.both(side)
+    return parts + bodywork.both(side)
 
 
 def _bonnet_lines(solid: Solid, p: VehicleSizes, end: float, cowl: float) -> None:
@@ -249,17 +258,17 @@ def _fittings(
         parts.append((name, at(turned, x, y, p.wheel_radius)))
     mx = min(cowl - 0.38, edges[0] - 0.05) if p.kind != "van" else edges[0] - 0.1
     mz = float(body.belt_at(np.array(mx))) + 0.05
-    pieces = fittings.mirror(mx, skin(mx, mz) - 0.01, mz, paint, tall=p.kind == "van")
+    pieces = bodywork.mirror(mx, skin(mx, mz) - 0.01, mz, paint, tall=p.kind == "van")
     parts += [("mirror", pieces[0].surface()), ("mirror-foot", pieces[1].surface())]
     finish = CHROME if p.chrome else paint
     for k, x in enumerate(edges[1:]):
         hx = x + 0.16
         hz = float(body.belt_at(np.array(hx))) - 0.1
-        parts.append((f"handle-{k}", fittings.handle(hx, skin(hx, hz), hz, finish).surface()))
+        parts.append((f"handle-{k}", bodywork.handle(hx, skin(hx, hz), hz, finish).surface()))
     if p.roof_rails:
         start, stop = brow - 0.25, gutter + 0.25
         y = 0.5 * p.width - np.tan(p.tumblehome) * (p.height - p.belt_height) - 0.14
         z = [float(body.outline(np.array(x))) - 0.015 for x in (start, stop)]
-        pieces = fittings.rail((start, y, z[0]), (stop, y, z[1]))
+        pieces = bodywork.rail((start, y, z[0]), (stop, y, z[1]))
         parts += [(f"rail-{k}", piece.surface()) for k, piece in enumerate(pieces)]
     return parts

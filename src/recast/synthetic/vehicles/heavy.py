@@ -8,23 +8,20 @@ from functools import partial
 import numpy as np
 
 from recast.arrays import Array
-from recast.synthetic.scenery.primitives import at
-from recast.synthetic.surface import Surface
-from recast.synthetic.vehicles import fittings
+from recast.synthetic.surface import Surface, at
+from recast.synthetic.vehicles import bodywork
 from recast.synthetic.vehicles.bodywork import (
-    destination,
-    doors,
-    front_face,
-    number_plate,
-    seam,
-    tail_lamp,
-)
-from recast.synthetic.vehicles.fittings import (
     Parts,
     SideGlass,
+    destination,
+    doors,
     face_window,
+    front_face,
+    number_plate,
     screen,
+    seam,
     side_windows,
+    tail_lamp,
 )
 from recast.synthetic.vehicles.loft import LoftedBody, LoftProfile, underside, wheel_wells
 from recast.synthetic.vehicles.parameters import VehicleSizes
@@ -62,7 +59,7 @@ def box_truck(p: VehicleSizes, paint: Finish) -> Parts:
     floor = 2 * p.wheel_radius + 0.14
     parts.append(("box", at(_load_box(p, paint, floor), -end + p.box_length / 2, 0.0)))
     parts += _frame(p, floor, end - cab_length)
-    return parts + fittings.steel_wheels(p)
+    return parts + bodywork.steel_wheels(p)
 
 
 def _cab(p: VehicleSizes, paint: Finish, length: float, axle: float) -> Parts:
@@ -114,12 +111,12 @@ def _cab(p: VehicleSizes, paint: Finish, length: float, axle: float) -> Parts:
     parts: Parts = [("cab", solid.mirrored().surface()), *set_in]
     x, z = min(cowl - 0.16, end - 0.32), p.belt_height + 0.12
     y = float(body.half_width(np.array(x), np.array(z)))
-    pieces = fittings.mirror(x, y, z, paint, tall=True)
+    pieces = bodywork.mirror(x, y, z, paint, tall=True)
     side: Parts = [(f"mirror-{k}", piece.surface()) for k, piece in enumerate(pieces)]
     hx = back + 0.15
     hy = float(body.half_width(np.array(hx), np.array(p.belt_height - 0.12)))
-    side.append(("handle", fittings.handle(hx, hy, p.belt_height - 0.12, TRIM).surface()))
-    return parts + fittings.both(side)
+    side.append(("handle", bodywork.handle(hx, hy, p.belt_height - 0.12, TRIM).surface()))
+    return parts + bodywork.both(side)
 
 
 def _load_box(p: VehicleSizes, paint: Finish, floor: float) -> Surface:
@@ -177,10 +174,10 @@ def _frame(p: VehicleSizes, floor: float, cab_rear: float) -> Parts:
     low = p.wheel_radius * 1.15
 
     def box(x: Span, y: Span, z: Span, finish: Finish) -> Surface:
-        return fittings.grid_block(np.array(x), np.array(y), np.array(z), finish).surface()
+        return bodywork.grid_block(np.array(x), np.array(y), np.array(z), finish).surface()
 
     wide = (-0.92 * half, 0.92 * half)
-    bar = fittings.block((-end, -0.3, low), (-end + 0.05, 0.3, low + 0.1), TRIM)
+    bar = bodywork.block((-end, -0.3, low), (-end + 0.05, 0.3, low + 0.1), TRIM)
     parts = [
         ("frame", box((-end + 0.1, cab_rear + 0.1), (-0.42, 0.42), (low, floor - 0.02), UNDERSIDE)),
         ("bumper-bar", box((-end, -end + 0.1), wide, (low - 0.02, low + 0.13), STEEL)),
@@ -197,12 +194,12 @@ def _frame(p: VehicleSizes, floor: float, cab_rear: float) -> Parts:
         plank = box(guard, (half - 0.12, half - 0.08), (z, z + 0.1), STEEL)
         side.append((f"guard-{k}", plank))
     place = ((guard[0] + guard[1]) / 2, half - 0.42, 0.68)
-    tank = fittings.pebble(place, (0.9, 0.5, 0.5), STEEL, 4.0, (6, 12))
+    tank = bodywork.pebble(place, (0.9, 0.5, 0.5), STEEL, 4.0, (6, 12))
     side.append(("tank", tank.surface()))
     for k, x in enumerate((rear - p.wheel_radius - 0.12, rear + p.wheel_radius + 0.1)):
         flap = box((x, x + 0.03), (half - 0.62, half - 0.05), (low - 0.12, floor), CLADDING)
         side.append((f"flap-{k}", flap))
-    return parts + fittings.both(side)
+    return parts + bodywork.both(side)
 
 
 def bus(p: VehicleSizes, paint: Finish) -> Parts:
@@ -265,13 +262,13 @@ def bus(p: VehicleSizes, paint: Finish) -> Parts:
     _bus_doors(whole, p)
     parts: Parts = [("body", whole.surface()), *set_in]
     size = (0.26 * p.length, 0.7 * p.width, 0.3)
-    pod = fittings.pebble((-0.1 * p.length, 0, p.height - 0.15), size, paint, 5.0, (8, 16))
+    pod = bodywork.pebble((-0.1 * p.length, 0, p.height - 0.15), size, paint, 5.0, (8, 16))
     parts.append(("air-conditioning", pod.surface()))
     arm = ((end + 0.02, half - 0.05, high + 0.05), (0.5, 0.06, 0.06), TRIM, 4.0, (4, 8))
     shell = ((end + 0.2, half + 0.02, high - 0.22), (0.12, 0.2, 0.5), TRIM, 3.0, (8, 10))
-    mirrors = [("mirror", fittings.pebble(*shape).surface()) for shape in (arm, shell)]
-    parts += fittings.both(mirrors)
-    return parts + fittings.steel_wheels(p)
+    mirrors = [("mirror", bodywork.pebble(*shape).surface()) for shape in (arm, shell)]
+    parts += bodywork.both(mirrors)
+    return parts + bodywork.steel_wheels(p)
 
 
 def _side_band(solid: Solid, p: VehicleSizes, high: float) -> None:

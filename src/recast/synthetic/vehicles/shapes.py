@@ -12,15 +12,15 @@ from numpy.typing import NDArray
 from recast.arrays import Array
 from recast.core.errors import InputError
 from recast.geometry.colour import srgb_to_linear
-from recast.synthetic.scenery.primitives import at
 from recast.synthetic.surface import (
     CREASE_ANGLE,
     MATERIAL_INDEX,
     Surface,
+    at,
     concatenate,
     corner_normals,
 )
-from recast.synthetic.vehicles.fittings import block, pebble
+from recast.synthetic.vehicles.bodywork import block, pebble
 from recast.synthetic.vehicles.solid import CHROME, Finish
 from recast.synthetic.world import VehicleModel
 

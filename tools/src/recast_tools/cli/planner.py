@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import tyro
 
 from recast.cli import shared
-from recast.cli.output import JSON, Rows, console_for, print_json
+from recast.cli.shared import JSON, Rows, console_for, print_json
 
 if TYPE_CHECKING:
     from recast_tools.planner_probe import ProbeRow

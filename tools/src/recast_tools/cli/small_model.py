@@ -9,7 +9,7 @@ from typing import Annotated, Literal
 import tyro
 
 from recast.cli import shared
-from recast.cli.output import console_for
+from recast.cli.shared import console_for
 
 
 @dataclass(frozen=True)

@@ -21,7 +21,7 @@ from recast.dynamics import state as ego
 from recast.geometry import se2
 from recast.planning.gtrs.scores import Trajectories, read_vocabulary, write_vocabulary
 from recast.planning.types import ego_status
-from recast.runs.layout import STORE_FOLDER
+from recast.runs.run_folder import STORE_FOLDER
 from recast.synthetic import make_world
 from recast.synthetic.oracle import Oracle
 from recast.synthetic.rig import make_rig

@@ -20,9 +20,9 @@ from recast.cameras import PinholeCamera
 from recast.core import Artefact, Store
 from recast.core.errors import InputError
 from recast.geometry import se3
+from recast.reconstruction import SceneConfig
 from recast.runs.actor import ActorMakers
 from recast.runs.arms import OWN_STREET
-from recast.runs.layout import ACTOR_FOLDER, LOG_FOLDER
 from recast.runs.making import (
     Maker,
     VehicleParts,
@@ -31,8 +31,9 @@ from recast.runs.making import (
     register_vehicle,
     train_street,
 )
+from recast.runs.run_folder import ACTOR_FOLDER, LOG_FOLDER
 from recast.runs.sources import SourceLog, generator_source, segmenter_source
-from recast.scene import SceneConfig, StreetScene, load_scene
+from recast.scene import StreetScene, load_scene
 from recast.scene.render import SceneRasterizer
 from recast.synthetic import World
 from recast.synthetic.oracle import Oracle

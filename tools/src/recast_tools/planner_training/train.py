@@ -19,10 +19,10 @@ from recast.core.records import Record, read_record
 from recast.logs.images import encode
 from recast.planning.gtrs import GtrsModel, GtrsPlanner, load_gtrs, save_gtrs
 from recast.planning.gtrs.folder import CONFIG_FILE, WEIGHTS_FILE
-from recast.recar.training.output import hash_files
+from recast.recar.training import hash_files
 from recast.training.loop import train
-from recast.training.progress import TrainingBar
 from recast.training.state import TrainingState
+from recast.training.task import TrainingBar
 from recast_tools.planner_training.evaluate import (
     FIRST_SPEED,
     SampleScores,

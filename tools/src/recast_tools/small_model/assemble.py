@@ -13,20 +13,13 @@ from rich.console import Console
 from recast.core.errors import InputError
 from recast.core.files import write_json
 from recast.core.progress import Progress, tell
-from recast.recar.targets import CacheRecord, ModelSource, Target, TargetCache, TargetRecord
-from recast.recar.targets.cache import ChannelMoments
-from recast.recar.targets.cache_records import CACHE_FILE
-from recast.recar.training.assets import AssetStore, TrainingAsset, occupancy, voxel_features
+from recast.recar.target_cache import CACHE_FILE, CacheRecord, Target, TargetCache, TargetRecord
+from recast.recar.target_maker import ModelSource
+from recast.recar.training_conditions import TrainingAsset
 from recast.trellis import SamplerSettings
-from recast.trellis.checkpoints import (
-    SMALL,
-    PipelineRecord,
-    load_model,
-    new_checkpoint,
-    save_checkpoint,
-)
-from recast.trellis.checkpoints.model_files import model_files
-from recast.trellis.checkpoints.pipeline_record import (
+from recast.trellis.checkpoint_sizes import SMALL, new_checkpoint
+from recast.trellis.checkpoints import PipelineRecord, load_model, save_checkpoint
+from recast.trellis.model_files import (
     GAUSSIAN_DECODER,
     IMAGE_ENCODER,
     LATENT_ENCODER,
@@ -34,8 +27,15 @@ from recast.trellis.checkpoints.pipeline_record import (
     STRUCTURE_DECODER,
     STRUCTURE_ENCODER,
     STRUCTURE_FLOW,
+    model_files,
 )
-from recast.trellis.models import SparseStructureEncoder
+from recast.trellis.ss_vae import SparseStructureEncoder
+from recast_tools.small_model.asset_store import (
+    AssetStore,
+    ChannelMoments,
+    occupancy,
+    voxel_features,
+)
 from recast_tools.small_model.recipe import (
     REPORT_FILE,
     Report,

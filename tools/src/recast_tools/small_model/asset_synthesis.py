@@ -21,7 +21,7 @@ from recast.core.ray_cluster import worker_pool
 from recast.core.records import Record, read_record
 from recast.geometry import se3
 from recast.recar.synthesis import studio_sky
-from recast.recar.training.assets import TrainingAsset, write_asset
+from recast.recar.training_conditions import TrainingAsset, write_asset
 from recast.recar.views import camera_pose, fitting_distance, pinhole
 from recast.synthetic.rendering import RayScene, render_camera, require_embree
 from recast.synthetic.rendering.surface_points import surface_points

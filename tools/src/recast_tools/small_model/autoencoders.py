@@ -10,14 +10,15 @@ import torch
 from torch import Tensor, nn
 from torch.nn.functional import avg_pool2d, binary_cross_entropy_with_logits
 
-from recast.recar.training.assets import AssetStore, TrainingAsset, occupancy, voxel_features
-from recast.scene.scores import ssim_map
+from recast.recar.training_conditions import TrainingAsset
+from recast.reconstruction.scores import ssim_map
 from recast.splats import MIP, Gaussians, Rasterization, rasterize
 from recast.training.task import StepLoss, StepRandom
 from recast.trellis.conditioning import CompactImageEncoder
-from recast.trellis.models.flow_transformer import SparseStructureFlowModel
-from recast.trellis.models.slat_vae import SLatEncoder, SLatGaussianDecoder
-from recast.trellis.models.ss_vae import SparseStructureDecoder, SparseStructureEncoder
+from recast.trellis.flow_transformer import SparseStructureFlowModel
+from recast.trellis.slat_vae import SLatEncoder, SLatGaussianDecoder
+from recast.trellis.ss_vae import SparseStructureDecoder, SparseStructureEncoder
+from recast_tools.small_model.asset_store import AssetStore, occupancy, voxel_features
 
 
 @dataclass(frozen=True)

@@ -11,28 +11,25 @@ import torch
 from torch import Tensor
 
 from recast.core.files import write_json
-from recast.recar.training.assets import AssetStore, occupancy, voxel_features
-from recast.scene import psnr
+from recast.reconstruction.scores import psnr
 from recast.training.loop import Watch, train
 from recast.training.task import TrainerSettings, TrainingTask
 from recast.trellis import crop_to_object
-from recast.trellis.checkpoints import SMALL, new_checkpoint, save_model
-from recast.trellis.checkpoints.pipeline_record import (
+from recast.trellis.checkpoint_sizes import SMALL, new_checkpoint
+from recast.trellis.conditioning import CompactImageEncoder
+from recast.trellis.flow_transformer import SparseStructureFlowModel
+from recast.trellis.model_files import (
     GAUSSIAN_DECODER,
     IMAGE_ENCODER,
     LATENT_ENCODER,
     STRUCTURE_DECODER,
     STRUCTURE_ENCODER,
     STRUCTURE_FLOW,
+    save_model,
 )
-from recast.trellis.conditioning import CompactImageEncoder
-from recast.trellis.models import (
-    SLatEncoder,
-    SLatGaussianDecoder,
-    SparseStructureDecoder,
-    SparseStructureEncoder,
-)
-from recast.trellis.models.flow_transformer import SparseStructureFlowModel
+from recast.trellis.slat_vae import SLatEncoder, SLatGaussianDecoder
+from recast.trellis.ss_vae import SparseStructureDecoder, SparseStructureEncoder
+from recast_tools.small_model.asset_store import AssetStore, occupancy, voxel_features
 from recast_tools.small_model.autoencoders import (
     ImageEncoderTask,
     ImageExamples,

@@ -1,0 +1,49 @@
+"""How a street is made of a driving log: first points, training, and the judging of both."""
+
+from recast.reconstruction.config import (
+    Preset,
+    SceneConfig,
+    read_config,
+    resolve_config,
+    write_config,
+)
+from recast.reconstruction.evaluate import evaluate_scene
+from recast.reconstruction.evaluation import (
+    SHIFTS,
+    FrameScore,
+    SceneEvaluation,
+    ShiftedView,
+    ShiftScores,
+    ViewShift,
+)
+from recast.reconstruction.scores import RegionScore, psnr, ssim
+from recast.reconstruction.train import (
+    ProgressCallback,
+    TrainingStatus,
+    TrainResult,
+    read_training_config,
+    train_scene,
+)
+
+__all__ = [
+    "SHIFTS",
+    "FrameScore",
+    "Preset",
+    "ProgressCallback",
+    "RegionScore",
+    "SceneConfig",
+    "SceneEvaluation",
+    "ShiftScores",
+    "ShiftedView",
+    "TrainResult",
+    "TrainingStatus",
+    "ViewShift",
+    "evaluate_scene",
+    "psnr",
+    "read_config",
+    "read_training_config",
+    "resolve_config",
+    "ssim",
+    "train_scene",
+    "write_config",
+]

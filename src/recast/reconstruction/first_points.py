@@ -1,0 +1,338 @@
+"""First Gaussians of a scene: coloured LiDAR, plane sweep, actors and sky."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from recast.arrays import Array, Float32Array, Mask
+from recast.core.errors import InputError
+from recast.geometry import boxes, se3
+from recast.logs import DrivingLog, GroundHeight, Track, ego_path, even_ground
+from recast.reconstruction.bodies import Body
+from recast.reconstruction.config import SceneConfig
+from recast.reconstruction.plane_sweep import sweep_depths
+from recast.reconstruction.points import (
+    OwnedSweep,
+    PointCloud,
+    concatenate,
+    depth_samples,
+    gaussians_from_points,
+    project_visible,
+    read_sweeps,
+    thinned,
+    voxel_downsample,
+)
+from recast.reconstruction.settings import INIT
+from recast.reconstruction.sky_masks import sky_masks
+from recast.reconstruction.views import (
+    DepthSamples,
+    TrainingView,
+    deforms,
+    near_samples,
+    nearest_views,
+    visible_rectangle,
+)
+from recast.scene.appearance import with_other_side
+from recast.scene.poses import DEFORMABLE, pose_at
+from recast.scene.sky import SkyMap, sky_from_pixels
+from recast.splats import Gaussians
+from recast.splats.sh import C0
+
+
+@dataclass(frozen=True)
+class Initialisation:
+    """Where training starts.
+
+    Attributes:
+        background: world-frame Gaussians.
+        actors: actor-local Gaussians by track id.
+        sky: first sky map.
+        sky_pixels: (S,) int64 flat indices of sure sky pixels, for each training view.
+        depths: measured depths of each training view.
+        ground: heights of even ground; None without such ground, or where it is left free.
+        found: Gaussians that there would have been without `max_gaussians`.
+    """
+
+    background: Gaussians
+    actors: dict[str, Gaussians]
+    sky: SkyMap
+    sky_pixels: list[NDArray[np.int64]]
+    depths: list[DepthSamples]
+    ground: GroundHeight | None = None
+    found: int = 0
+
+    def __len__(self) -> int:
+        return len(self.background) + sum(len(part) for part in self.actors.values())
+
+
+def initialise(
+    log: DrivingLog,
+    views: Sequence[TrainingView],
+    actors: Mapping[str, Track],
+    config: SceneConfig,
+    rng: np.random.Generator,
+    threads: int = 1,
+    bodies: Mapping[str, Body] | None = None,
+) -> Initialisation:
+    """Build the first scene from the training views and the sweeps not taken with held-out ones.
+
+    Args:
+        views: all views; held-out ones lend their timestamps only.
+        rng: thins the plane-sweep points, and all points where they are too many for
+            `max_gaussians`.
+        bodies: actors that begin as the vertices of a body, all of them.
+
+    Raises:
+        InputError: LiDAR and images together give next to no points.
+    """
+    training = [view for view in views if not view.held_out]
+    sweeps = read_sweeps(log, actors, [view.timestamp_us for view in views if view.held_out])
+    depths = [depth_samples(view, sweeps, actors) for view in training]
+    skies = sky_masks(log, training, depths, config)
+    clouds = [coloured_background(sweep, training, actors) for sweep in sweeps]
+    lidar = voxel_downsample(concatenate(clouds), config.voxel_m)
+    far = PointCloud.empty()
+    if config.sweep_points:
+        swept = plane_sweep_points(training, depths, skies, actors, threads)
+        far = voxel_downsample(swept, config.voxel_m)
+    if len(far) > config.sweep_points:
+        far = far.select(np.sort(rng.choice(len(far), config.sweep_points, replace=False)))
+    cloud = without_points_in_sky(concatenate([lidar, far]), training, skies)
+    if len(cloud) < INIT.fewest_points:
+        raise InputError(
+            log.name,
+            "LiDAR",
+            f"{len(cloud)} points in view of the cameras, at least {INIT.fewest_points} are needed",
+            "check the calibration, or import the sweeps",
+        )
+    clouds_of = {
+        name: actor_cloud(track, sweeps, training, config) for name, track in actors.items()
+    }
+    bodies = bodies or {}
+    found = len(cloud) + sum(
+        len(own) * (1 + has_other_side(actors[name], config))
+        for name, own in clouds_of.items()
+        if name not in bodies
+    )
+    share = 1.0 if config.max_gaussians is None else INIT.first_share * config.max_gaussians / found
+    found += sum(len(body.vertices) for body in bodies.values())
+    return Initialisation(
+        background=gaussians_from_points(thinned(cloud, share, rng), config.sh_degree),
+        actors={
+            name: body_gaussians(actors[name], bodies[name], own, config)
+            if name in bodies
+            else actor_gaussians(actors[name], thinned(own, share, rng), config)
+            for name, own in clouds_of.items()
+        },
+        sky=_first_sky(training, skies),
+        sky_pixels=[np.flatnonzero(sky) for sky in skies],
+        depths=depths,
+        ground=_even_ground(log, sweeps) if config.ground_tolerance_m > 0 else None,
+        found=found,
+    )
+
+
+def _even_ground(log: DrivingLog, sweeps: Sequence[OwnedSweep]) -> GroundHeight | None:
+    path = ego_path(log.world_from_rig)
+    if path is None or not sweeps:
+        return None
+    found = even_ground((sweep.background.astype(np.float64) for sweep in sweeps), path)
+    return found if np.isfinite(found.height).any() else None
+
+
+def _first_sky(views: Sequence[TrainingView], skies: Sequence[Mask]) -> SkyMap:
+    directions, colours = [], []
+    for view, sky in zip(views, skies, strict=True):
+        rows, columns = np.nonzero(sky)
+        rays = view.camera.rays(np.stack([columns, rows], axis=-1) + 0.5)
+        directions.append((rays @ view.world_from_camera[:3, :3].T).astype(np.float32))
+        colours.append(view.image[rows, columns].astype(np.float32) / 255)
+    return sky_from_pixels(np.concatenate(directions), np.concatenate(colours))
+
+
+def pixel_colours(view: TrainingView, uv: Float32Array) -> Float32Array:
+    """Image colours (M, 3) in [0, 1] at pixel coordinates (M, 2)."""
+    rows, columns = uv[:, 1].astype(np.int64), uv[:, 0].astype(np.int64)
+    return (view.image[rows, columns] / 255.0).astype(np.float32)
+
+
+def usable_pixels(view: TrainingView, uv: Float32Array) -> Mask:
+    """Which pixel coordinates (M, 2) the view's mask lets count."""
+    if view.mask is None:
+        return np.ones(len(uv), bool)
+    return view.mask[uv[:, 1].astype(np.int64), uv[:, 0].astype(np.int64)]
+
+
+def coloured_background(
+    sweep: OwnedSweep, views: Sequence[TrainingView], actors: Mapping[str, Track]
+) -> PointCloud:
+    """A sweep's background points with colours from the views nearest in time, one a camera."""
+    points = sweep.background
+    clouds = []
+    for view in nearest_views(views, sweep.timestamp_us, INIT.colour_us):
+        index, uv, depth = project_visible(points, view)
+        keep = usable_pixels(view, uv) & ~_behind_actors(view, uv, depth, actors)
+        clouds.append(PointCloud(points[index[keep]], pixel_colours(view, uv[keep]), depth[keep]))
+    return concatenate(clouds)
+
+
+def _seen(view: TrainingView, actors: Mapping[str, Track]) -> Iterator[tuple[Track, Array, Array]]:
+    """Tracks in a view with their pose (4, 4) and the rectangle (4,) of their box in the image."""
+    for track in actors.values():
+        pose = pose_at(track.trajectory, view.timestamp_us)
+        rectangle = None if pose is None else visible_rectangle(track.size, pose, view)
+        if pose is not None and rectangle is not None:
+            yield track, pose, rectangle
+
+
+def _behind_actors(
+    view: TrainingView, uv: Float32Array, depth: Float32Array, actors: Mapping[str, Track]
+) -> Mask:
+    """Points whose pixel may show a moving object in front of them at the view's own time."""
+    hidden = np.zeros(len(uv), bool)
+    for track, pose, (left, top, right, bottom) in _seen(view, actors):
+        inside = (uv[:, 0] >= left) & (uv[:, 0] < right) & (uv[:, 1] >= top) & (uv[:, 1] < bottom)
+        nearest = se3.apply(view.camera_from_world, boxes.corners(track.size, pose))[:, 2].min()
+        hidden |= inside & (depth > nearest)
+    return hidden
+
+
+def plane_sweep_points(
+    views: Sequence[TrainingView],
+    depths: Sequence[DepthSamples],
+    skies: Sequence[Mask],
+    actors: Mapping[str, Track],
+    threads: int,
+) -> PointCloud:
+    """Points at pixels without LiDAR near by, from every third view of each camera.
+
+    Sky, moving objects and unusable pixels are left out.
+
+    Args:
+        views: views in order of time within a camera; depths and skies are those of each view.
+    """
+    clouds = []
+    for name in dict.fromkeys(view.camera_name for view in views):
+        own = [i for i, view in enumerate(views) if view.camera_name == name]
+        references = range(1, len(own) - 1, INIT.sweep_stride)
+        wanted = []
+        for reference in references:
+            i = own[reference]
+            sky = cv2.dilate(skies[i].astype(np.uint8), np.ones((5, 5), np.uint8)) > 0
+            mask = ~sky & ~near_samples(views[i], depths[i])
+            wanted.append(mask & ~_actor_pixels(views[i], actors))
+        maps = sweep_depths([views[i] for i in own], references, wanted, threads=threads)
+        clouds += [
+            _unproject(views[own[reference]], depth)
+            for reference, depth in zip(references, maps, strict=True)
+        ]
+    return concatenate(clouds)
+
+
+def _actor_pixels(view: TrainingView, actors: Mapping[str, Track]) -> Mask:
+    covered = np.zeros((view.camera.height, view.camera.width), bool)
+    if view.mask is not None:
+        covered |= ~view.mask
+    for _, _, rectangle in _seen(view, actors):
+        left, top = np.floor(rectangle[:2]).astype(int) - 3
+        right, bottom = np.ceil(rectangle[2:]).astype(int) + 3
+        covered[max(top, 0) : bottom, max(left, 0) : right] = True
+    return covered
+
+
+def _unproject(view: TrainingView, depth: Float32Array) -> PointCloud:
+    rows, columns = np.nonzero(depth)
+    distance = depth[rows, columns]
+    pixels = np.stack([columns, rows], axis=-1) + 0.5
+    points = se3.apply(view.world_from_camera, view.camera.unproject(pixels, distance))
+    colours = (view.image[rows, columns] / 255.0).astype(np.float32)
+    return PointCloud(points.astype(np.float32), colours, distance)
+
+
+def without_points_in_sky(
+    cloud: PointCloud, views: Sequence[TrainingView], skies: Sequence[Mask]
+) -> PointCloud:
+    """Drop points that two views see in front of plain sky: wrong matches, stray returns."""
+    hits = np.zeros(len(cloud), np.int64)
+    for view, sky in zip(views, skies, strict=True):
+        local = cloud.points @ view.camera_from_world[:3, :3].T.astype(np.float32)
+        local += view.camera_from_world[:3, 3].astype(np.float32)
+        front = np.flatnonzero(local[:, 2] > 1.0)
+        uv = local[front, :2] / local[front, 2:]
+        columns = np.floor(uv[:, 0] * view.camera.fx + view.camera.cx).astype(np.int64)
+        rows = np.floor(uv[:, 1] * view.camera.fy + view.camera.cy).astype(np.int64)
+        inside = (columns >= 0) & (rows >= 0) & (columns < sky.shape[1]) & (rows < sky.shape[0])
+        hits[front[inside]] += sky[rows[inside], columns[inside]]
+    return cloud.select(hits < 2)
+
+
+def actor_cloud(
+    track: Track, sweeps: Sequence[OwnedSweep], views: Sequence[TrainingView], config: SceneConfig
+) -> PointCloud:
+    """Points in the box frame: the track's LiDAR points, or a grid where they are too few."""
+    clouds = []
+    for sweep in sweeps:
+        local = sweep.actors.get(track.track_id)
+        if local is None or len(local) == 0:
+            continue
+        for view in nearest_views(views, sweep.timestamp_us, INIT.colour_us):
+            now = pose_at(track.trajectory, view.timestamp_us)
+            if now is None:
+                continue
+            seen, uv, depth = project_visible(se3.apply(now, local).astype(np.float32), view)
+            keep = usable_pixels(view, uv)
+            clouds.append(PointCloud(local[seen[keep]], pixel_colours(view, uv[keep]), depth[keep]))
+    cloud = voxel_downsample(concatenate(clouds), config.actor_voxel_m)
+    if len(cloud) < INIT.fewest_actor_points:
+        return concatenate([cloud, _box_grid(track, cloud)])
+    return cloud
+
+
+def actor_gaussians(track: Track, cloud: PointCloud, config: SceneConfig) -> Gaussians:
+    """First Gaussians of an actor's points; with its other side, where steps see it mirrored."""
+    gaussians = gaussians_from_points(cloud, config.sh_degree, sigma_range=INIT.actor_sigma_m)
+    return with_other_side(gaussians) if has_other_side(track, config) else gaussians
+
+
+def body_gaussians(track: Track, body: Body, cloud: PointCloud, config: SceneConfig) -> Gaussians:
+    """First Gaussians of a body at rest, one a vertex and in their order.
+
+    Their colours are those of the points nearest to where they are in the middle of their time.
+    """
+    vertices = body.vertices.astype(np.float32)
+    never = np.full(len(vertices), np.inf, np.float32)
+    grey = PointCloud(vertices, np.full((len(vertices), 3), 0.5, np.float32), never)
+    gaussians = gaussians_from_points(grey, config.sh_degree, sigma_range=INIT.actor_sigma_m)
+    times = body.skinning.timestamps_us
+    middle = int(times[0] + times[-1]) // 2
+    placed = body.skinning.at(gaussians, track.trajectory, middle).means.numpy()
+    _, nearest = cKDTree(cloud.points).query(placed)
+    gaussians.sh[:, 0] = (torch.from_numpy(cloud.colours[nearest]) - 0.5) / C0
+    return gaussians
+
+
+def has_other_side(track: Track, config: SceneConfig) -> bool:
+    """Whether an actor begins with twice as many Gaussians as points."""
+    symmetric = track.category not in DEFORMABLE and not deforms(track, config)
+    return config.flip_probability > 0 and symmetric
+
+
+def _box_grid(track: Track, cloud: PointCloud) -> PointCloud:
+    """A grid on the faces of the box in the mean colour of the known points (grey without any)."""
+    axes = [
+        np.linspace(-size / 2, size / 2, max(2, round(size / INIT.grid_m) + 1))
+        for size in track.size
+    ]
+    grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
+    on_face = np.any(np.isclose(np.abs(grid), track.size / 2), axis=1)
+    points = grid[on_face].astype(np.float32)
+    mean = cloud.colours.mean(axis=0) if len(cloud) else np.full(3, 0.5, np.float32)
+    colours = np.broadcast_to(mean.astype(np.float32), points.shape).copy()
+    return PointCloud(points, colours, np.full(len(points), np.inf, np.float32))

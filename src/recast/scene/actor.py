@@ -1,0 +1,294 @@
+"""An actor of a street: its Gaussians, what changes them with time and place, how it is drawn."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Protocol
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from recast.arrays import Array
+from recast.cameras import PinholeCamera
+from recast.geometry import se3
+from recast.logs import Trajectory
+from recast.logs.checks import BOX_SIDE
+from recast.scene.appearance import Appearance, exposed, share_of
+from recast.splats import (
+    CLASSIC,
+    FrozenGaussians,
+    Gaussians,
+    LowPass,
+    Rasterization,
+    concatenate,
+    freeze,
+    rasterize,
+)
+
+PLACE_M, TURN = 0.1, 0.005
+"""Grid on which light is worked out: metres, and a quaternion's components (half a degree)."""
+_DISTANCE = 2.1  # of the camera that goes around, in diagonals of the box
+
+
+class Lighting(Protocol):
+    """What lights an actor anew, wherever it stands; see `recast.scene.light`."""
+
+    @property
+    def shadow_room(self) -> int:
+        """Most Gaussians that the lit actor's shadow has."""
+
+    def lit(self, actor: SceneActor, pose: Array) -> SceneActor:
+        """The actor in the light of `pose` (4, 4) `world_from_actor`, its `light` taken off.
+
+        Colours and shadow are others; shapes and opacities stay.
+        """
+
+
+class Deforming(Protocol):
+    """What moves the Gaussians of an actor within its box; see `recast.scene.deformation`."""
+
+    def validate(self, where: str, count: int) -> None:
+        """Raise ValueError naming the member at fault of an actor `where` of `count` Gaussians."""
+
+    def at(self, gaussians: Gaussians, trajectory: Trajectory, timestamp_us: int) -> Gaussians:
+        """The Gaussians as they are at a time of the recording; outside of it, at its end."""
+
+
+@dataclass(frozen=True)
+class SceneActor:
+    """One moving object.
+
+    Attributes:
+        gaussians: actor-local frame (box centre, x forward, y left, z up).
+        size: (3,) length, width, height in metres.
+        trajectory: refined `world_from_actor` as logged.
+        shadow: actor-local Gaussians on the ground, drawn with the actor, or None.
+        appearance: how the Gaussians' colours change over the trajectory's time, or None.
+        deformation: how the Gaussians move within the box over the trajectory's time, or None for a
+            rigid actor.
+        low_pass: the filter that the Gaussians were made for, see `recast.splats.refiltered`.
+        light: what lights it anew where it stands, or None for an actor that keeps the light it was
+            recorded in. Not saved with a scene.
+    """
+
+    track_id: str
+    gaussians: Gaussians
+    size: Array
+    trajectory: Trajectory
+    shadow: Gaussians | None = None
+    appearance: Appearance | None = None
+    deformation: Deforming | None = None
+    low_pass: LowPass = CLASSIC
+    light: Lighting | None = None
+
+    def validate(self, where: str) -> None:
+        """Raise ValueError naming the member of `where` at fault."""
+        least, most = BOX_SIDE
+        if self.size.shape != (3,) or not np.all((self.size >= least) & (self.size <= most)):
+            raise ValueError(f"{where}.size: three metres of {least} to {most}, got {self.size}")
+        self.trajectory.validate(where)
+        check_gaussians(f"{where}.gaussians", self.gaussians)
+        if self.shadow is not None:
+            check_gaussians(f"{where}.shadow", self.shadow)
+        if self.appearance is not None:
+            self.appearance.validate(where, len(self.gaussians))
+        if self.deformation is not None:
+            self.deformation.validate(f"{where}.deformation", len(self.gaussians))
+
+    def coloured_at(self, timestamp_us: int) -> SceneActor:
+        """The actor with the colours that it had at a time of the recording."""
+        if self.appearance is None:
+            return self
+        share = share_of(self.trajectory, timestamp_us)
+        return replace(self, gaussians=self.appearance.at(self.gaussians, share), appearance=None)
+
+    def shaped_at(self, timestamp_us: int | None) -> SceneActor:
+        """The actor with the shape that it had at a time of the recording, and rigid.
+
+        Args:
+            timestamp_us: time of the recording; None for the middle of the actor's time.
+        """
+        if self.deformation is None:
+            return self
+        first, last = (int(time) for time in self.trajectory.timestamps_us[[0, -1]])
+        time = (first + last) // 2 if timestamp_us is None else timestamp_us
+        with torch.no_grad():
+            shaped = self.deformation.at(self.gaussians, self.trajectory, time)
+        return replace(self, gaussians=shaped, deformation=None)
+
+    def lit_at(self, pose: Array) -> SceneActor:
+        """The actor in the light of `pose` (4, 4) `world_from_actor`."""
+        return self if self.light is None else self.light.lit(self, pose)
+
+    @property
+    def drawn(self) -> Gaussians:
+        """Gaussians and shadow together, actor-local; a deformable actor as `shaped_at(None)`."""
+        gaussians = self.shaped_at(None).gaussians
+        return gaussians if self.shadow is None else concatenate([gaussians, self.shadow])
+
+    def exposed(self, affine: Tensor) -> SceneActor:
+        """The actor with the colours' transform (3, 4), at all its times."""
+        appearance = self.appearance
+        if appearance is not None:
+            appearance = replace(appearance, fourier=appearance.fourier @ affine[:, :3].T)
+        return replace(self, gaussians=exposed(self.gaussians, affine), appearance=appearance)
+
+    def frozen(self, device: torch.device) -> list[FrozenGaussians]:
+        """What is drawn of it on a device as it stands: vehicle and shadow, actor-local."""
+        return [freeze(self.gaussians.to(device), self.low_pass), *self._frozen_shadow(device)]
+
+    def recoloured(
+        self, parts: list[FrozenGaussians], device: torch.device
+    ) -> list[FrozenGaussians]:
+        """`frozen`, of parts that differ from it in their colours and their shadow alone."""
+        return [parts[0].recoloured(self.gaussians.sh.to(device)), *self._frozen_shadow(device)]
+
+    def _frozen_shadow(self, device: torch.device) -> list[FrozenGaussians]:
+        return [] if self.shadow is None else [freeze(self.shadow.to(device))]
+
+
+class DrawnActor:
+    """An actor as it is drawn again and again: what does not change is worked out once.
+
+    Several cameras share light and shape of one place and time; the last ones are kept.
+    """
+
+    def __init__(self, actor: SceneActor, device: torch.device) -> None:
+        self._actor, self._device = actor, device
+        self._parts = actor.frozen(device)
+        self._lit: tuple[Array, list[FrozenGaussians]] | None = None
+        self._shaped: tuple[int | None, int | None, list[FrozenGaussians]] | None = None
+
+    def at(
+        self, pose: Array, colours_us: int | None, shapes_us: int | None
+    ) -> list[FrozenGaussians]:
+        """What is drawn at a pose (4, 4) `world_from_actor`, actor-local.
+
+        Args:
+            colours_us, shapes_us: times of the recording, see `SceneRasterizer.draw`.
+        """
+        actor = self._actor
+        if actor.deformation is not None:
+            if self._shaped is None or self._shaped[:2] != (colours_us, shapes_us):
+                if colours_us is not None:
+                    actor = actor.coloured_at(colours_us)
+                parts = actor.shaped_at(shapes_us).frozen(self._device)
+                self._shaped = colours_us, shapes_us, parts
+            return self._shaped[2]
+        if actor.light is not None:
+            place = rounded(pose)
+            if self._lit is None or not np.array_equal(self._lit[0], place):
+                parts = actor.lit_at(place).recoloured(self._parts, self._device)
+                self._lit = place, parts
+            return self._lit[1]
+        if colours_us is not None and actor.appearance is not None:
+            return actor.coloured_at(colours_us).recoloured(self._parts, self._device)
+        return self._parts
+
+
+def rounded(pose: Array) -> Array:
+    """A pose (4, 4) on a grid of 10 cm and half a degree: light is worked out once for each."""
+    quat = np.round(se3.matrix_to_quat(pose[:3, :3]) / TURN) * TURN
+    place = np.round(pose[:3, 3] / PLACE_M) * PLACE_M
+    return se3.from_rotation_translation(se3.quat_to_matrix(quat), place)
+
+
+def check_gaussians(where: str, gaussians: Gaussians) -> None:
+    """Raise ValueError naming the member of `where` at fault, see `Gaussians.fault`."""
+    fault = gaussians.fault()
+    if fault is not None:
+        raise ValueError(f"{where}.{fault[0]}: {fault[1]}")
+
+
+def draw(
+    gaussians: Gaussians,
+    camera_from_object: Array | Tensor,
+    camera: PinholeCamera,
+    low_pass: LowPass = CLASSIC,
+    background: Sequence[float] | None = None,
+) -> Rasterization:
+    """Gaussians drawn through the filter `low_pass` that they were made for; differentiable.
+
+    Args:
+        gaussians: object frame.
+        camera_from_object: (4, 4).
+        camera: rectified camera.
+        background: display colour; black if None.
+    """
+    return rasterize(
+        gaussians,
+        torch.as_tensor(camera_from_object).float(),
+        torch.from_numpy(camera.matrix).float(),
+        camera.width,
+        camera.height,
+        background=None if background is None else torch.tensor(background),
+        eps2d=low_pass.variance,
+        antialiased=low_pass.antialiased,
+    )
+
+
+def orbit(
+    gaussians: Gaussians,
+    size: Array,
+    *,
+    views: int,
+    width: int,
+    height: int,
+    elevation: float = float(np.radians(10.0)),
+    background: tuple[float, float, float] = (0.55, 0.56, 0.58),
+    low_pass: LowPass = CLASSIC,
+) -> list[NDArray[np.uint8]]:
+    """Render Gaussians about the origin from azimuths evenly around the z axis, the first from +x.
+
+    Args:
+        gaussians: z up, any unit.
+        size: (3,) extents of what should fill the picture, same unit.
+        views: number of pictures, counter-clockwise seen from above.
+        width, height: pixels.
+        elevation: elevation of the camera above the origin, radians.
+        background: display colour behind it.
+        low_pass: the filter that they were made for.
+
+    Returns:
+        `views` images (height, width, 3) uint8.
+    """
+    gaussians = gaussians.detach()
+    camera = framing_camera(size, width, height)
+    distance = _DISTANCE * float(np.linalg.norm(size))
+    images = []
+    for azimuth in np.arange(views) * 2 * np.pi / views:
+        direction = np.array(
+            [
+                np.cos(elevation) * np.cos(azimuth),
+                np.cos(elevation) * np.sin(azimuth),
+                np.sin(elevation),
+            ]
+        )
+        pose = look_at(distance * direction, np.zeros(3))
+        with torch.no_grad():
+            picture = draw(gaussians, pose, camera, low_pass, background)
+        images.append((picture.rgb.clamp(0, 1) * 255).round().to(torch.uint8).numpy())
+    return images
+
+
+def framing_camera(size: Array, width: int, height: int) -> PinholeCamera:
+    """A camera that sees the whole box from `turntable`'s distance in every direction."""
+    distance = _DISTANCE * float(np.linalg.norm(size))
+    radius = 0.5 * float(np.linalg.norm(size[:2]))
+    # the widest part is about as far as the middle, the lowest visible one half a radius nearer
+    across = width / 2 / (1.08 * radius) * distance
+    upright = height / (size[2] + 0.45 * radius) * (distance - 0.5 * radius)
+    focal = 0.9 * min(across, upright)
+    return PinholeCamera(width, height, focal, focal, width / 2, height / 2)
+
+
+def look_at(eye: Array, target: Array) -> Array:
+    """`camera_from_object` (4, 4) of a level OpenCV camera at `eye` that looks at `target`."""
+    forward = (target - eye) / np.linalg.norm(target - eye)
+    right = np.cross(forward, [0.0, 0.0, 1.0])
+    right /= np.linalg.norm(right)
+    rotation = np.stack([right, np.cross(forward, right), forward])
+    return se3.from_rotation_translation(rotation, -rotation @ eye)
