@@ -1,4 +1,4 @@
-"""A hub on loopback: the listing, `resolve` with redirects and ranges, and what can go wrong."""
+"""A hub on loopback: listings, `resolve` with redirects and ranges, and what can go wrong."""
 
 from __future__ import annotations
 
@@ -127,16 +127,22 @@ class Hub:
         if listing:
             assert parse_qs(url.query)["blobs"] == ["true"]
             return self.list_files(request, *listing.groups())
+        tree = re.fullmatch(r"api/models/(.+)/tree/([0-9a-f]{40})", path)
+        if tree:
+            return self.list_tree(request, *tree.groups())
         file = re.fullmatch(r"(.+?)/resolve/([0-9a-f]{40})/(.+)", path)
         if file:
             found = self.repositories.get(file[1], {}).get(file[2], {}).get(file[3])
             if found is None:
                 return self.reply(request, 404, b"", {"X-Error-Code": "EntryNotFound"})
+            commit = {"X-Repo-Commit": file[2]}
             if len(data_of(found)) < LARGE:
-                return self.send(request, path, found)
+                return self.send(request, path, found, commit)
             # Another host serves these, as of the real hub: here the same port by another name.
             elsewhere = self.address.replace("127.0.0.1", "localhost")
-            return self.reply(request, 302, b"", {"Location": f"{elsewhere}/cdn/{path}"})
+            linked = {"X-Linked-Size": str(len(data_of(found))), "X-Linked-Etag": hashes(found)[0]}
+            location = {"Location": f"{elsewhere}/cdn/{path}"}
+            return self.reply(request, 302, b"", commit | linked | location)
         if path in self.web:
             return self.send(request, path, self.web[path])
         return self.reply(request, 404, b"")
@@ -155,15 +161,32 @@ class Hub:
         told = {"id": name, "sha": self.wrong_commit or commit, "siblings": siblings}
         return self.reply(request, 200, self.listing or json.dumps(told).encode())
 
-    def send(self, request: BaseHTTPRequestHandler, path: str, content: Content) -> None:
+    def list_tree(self, request: BaseHTTPRequestHandler, name: str, commit: str) -> None:
+        """What snapshot_download asks for, after the listing with the hashes."""
+        entries = []
+        for path, content in self.repositories[name][commit].items():
+            size, (sha, blob) = len(data_of(content)), hashes(content)
+            one = {"type": "file", "path": path, "size": size, "oid": blob}
+            lfs = {"lfs": {"oid": sha, "size": size, "pointerSize": 134}}
+            entries.append(one | lfs if size >= LARGE else one)
+        return self.reply(request, 200, json.dumps(entries).encode())
+
+    def send(
+        self,
+        request: BaseHTTPRequestHandler,
+        path: str,
+        content: Content,
+        more: dict[str, str] | None = None,
+    ) -> None:
         data = self.served_instead.get(path.rpartition("/")[2], data_of(content))
         wanted = re.fullmatch(r"bytes=(\d+)-", request.headers.get("Range", "") * self.ranges)
         start = int(wanted[1]) if wanted else 0
-        headers = {"ETag": f'"{hashes(content)[0]}"', "Accept-Ranges": "bytes"}
+        headers = {"ETag": f'"{hashes(content)[0]}"', "Accept-Ranges": "bytes"} | (more or {})
         if wanted:
             headers["Content-Range"] = f"bytes {start}-{len(data) - 1}/{len(data)}"
         left = len(data) - start
-        cut = self.cuts.pop(0) if self.cuts and len(data) >= LARGE and self.cuts[0] < left else None
+        sent = request.command == "GET" and len(data) >= LARGE
+        cut = self.cuts.pop(0) if sent and self.cuts and self.cuts[0] < left else None
         self.reply(request, 206 if wanted else 200, data[start:], headers, cut)
 
     def reply(

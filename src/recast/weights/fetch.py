@@ -1,61 +1,86 @@
-"""Fetches published weights once: plan, download, convert, record; each step survives a kill."""
+"""Downloads published weights once: list, download, check, convert, record; each survives a kill.
+
+`huggingface_hub.snapshot_download` transfers the files of repositories, its `http_get` those of
+other hosts. Every file is then compared with the size and the hash that the table or the hub says.
+The token of a logged-in user goes to the hub only, or to the mirror that stands for it.
+"""
 
 from __future__ import annotations
 
 import fnmatch
+import hashlib
 import importlib
+import os
 import shutil
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
-from typing import Literal
+from typing import Annotated, Any
+
+from pydantic import Field
 
 from recast.core import files
-from recast.core.artefact import value_hash
 from recast.core.errors import InputError
-from recast.core.files import atomic_file
 from recast.core.names import member
-from recast.core.records import Record, read_record
-from recast.weights import transfer
+from recast.core.records import Record, validated
 from recast.weights.fetched import (
     RECORD_FILE,
     FetchedFile,
+    Sha256,
     WeightsRecord,
+    file_record,
     opened,
     read_weights_record,
     remember,
     weights_folder,
     written_files,
 )
-from recast.weights.table import Weights, WeightsSource
+from recast.weights.table import HUB, Weights, WeightsSource
 
+MIRROR = "RECAST_WEIGHTS_MIRROR"
+"""Environment variable that names a mirror: of the hub, and below HOST/PATH of other hosts."""
+_HUB_MIRROR = "HF_ENDPOINT"
 _PICKLE, _SAFETENSORS = "pytorch_model.bin", "model.safetensors"
-PLAN_FILE = ".plan.json"
+_ELSEWHERE = "check the mirror if one is set, or try again later"
 
 Progress = Callable[[str, int, int | None], None]
-"""Called with a file's name, the bytes of it that came by now, and all of them if known."""
+"""Called with the name of a source, its bytes that came by now, and all of them if known."""
 
 
-class FetchPlan(Record):
-    """What is to be fetched; kept until it is done, so that a branch that moves changes nothing.
+class _File(Record):
+    """A file at its publisher.
 
     Attributes:
-        entry: hash of the table's entry.
-        revisions: commits of the repositories.
+        name: name below its source.
+        size: number of bytes; None if the server does not say. More than a petabyte is a slip.
+        sha256: SHA-256 of the bytes, by the table or the hub; None if neither says.
+        blob: git's hash of a small file of a repository.
     """
 
-    version: Literal[1] = 1
-    entry: str
-    revisions: dict[str, str]
-    files: tuple[transfer.RemoteFile, ...]
+    name: str = Field(max_length=1000)  # with a limit, half surrogate pairs are refused, too
+    size: Annotated[int, Field(ge=0, le=1 << 50)] | None = None
+    sha256: Sha256 | None = None
+    blob: str | None = None
+
+
+class SourceListing(Record):
+    """What a source has of the files that the table asks for.
+
+    Attributes:
+        commit: commit of the repository; empty for a web folder.
+    """
+
+    commit: str = Field(default="", pattern=r"^([0-9a-f]{40})?$")
+    files: tuple[_File, ...]
 
 
 def fetch(
     weights: Weights, *, accepted: bool = False, progress: Progress = lambda name, done, of: None
 ) -> Path:
-    """Fetch weights, or find them: nothing is asked of the network then.
+    """Download weights, or find them without asking the network for anything.
 
-    What was cut is continued where it stopped. The folder comes into being when all files are
-    there, checked and converted.
+    Files that an interrupted download finished are kept. The folder gets its name when all files
+    are there, checked and converted.
 
     Args:
         accepted: whether the user accepted the licences, see `Weights.restricted`.
@@ -65,7 +90,7 @@ def fetch(
 
     Raises:
         InputError: a licence is not accepted; the network or the disk refuses; bytes are not those
-            that are pinned; the repository lacks a file; another process is fetching them; or
+            that are pinned; the repository lacks a file; another process is downloading them; or
             files that are here changed.
     """
     folder = weights_folder(weights.name)
@@ -73,12 +98,8 @@ def fetch(
         return opened(weights)
     if weights.restricted and not accepted:
         terms = next(one for one in weights.licences if one.restricted)
-        raise InputError(
-            "weights",
-            weights.name,
-            f"have licence terms that you must accept ({terms.name}, {terms.link})",
-            "read them, then add `accept_licence`",
-        )
+        problem = f"have licence terms that you must accept ({terms.name}, {terms.link})"
+        raise InputError("weights", weights.name, problem, "read them, then add `accept_licence`")
     partial = files.partial_name(folder)
     with files.disk_errors(partial):
         partial.mkdir(parents=True, exist_ok=True)
@@ -99,26 +120,36 @@ def is_whole(weights: Weights, folder: Path) -> bool:
 
 
 def _fill(weights: Weights, partial: Path, progress: Progress) -> None:
-    """Download and convert all files into a folder, then write the record."""
-    plan = _plan(weights, partial)
-    targets = {file.path: member(partial, file.path, file.address, "name") for file in plan.files}
-    _require_space(weights, plan, partial)
+    """Download, check and convert all files into a folder, then write the record."""
+    listings = [(source, list_source(source)) for source in weights.sources]
+    targets = {
+        member(partial / source.into, file.name, source.address(file.name), "name"): file
+        for source, listing in listings
+        for file in listing.files
+    }
+    kept = {*targets, *map(files.partial_name, targets)}
+    for path in partial.rglob("*"):  # what an earlier commit or a converter left goes
+        if path.is_file() and path not in kept and ".cache" not in path.parts:
+            path.unlink()
+    _require_space(weights, targets, partial)
     fetched: dict[str, FetchedFile] = {}
-    for file in plan.files:
-
-        def step(came: int, file: transfer.RemoteFile = file) -> None:
-            progress(file.path, came, file.size)
-
-        fetched[file.path] = transfer.download(file, targets[file.path], step)
+    known: dict[str, FetchedFile] = {}
+    for source, listing in listings:
+        _download(source, listing, partial / source.into, progress)
+        for file in listing.files:
+            path = partial / source.into / file.name
+            address = source.address(file.name, listing.commit)
+            found = _checked(file, path, address)
+            fetched[address] = known[path.relative_to(partial).as_posix()] = found
     if weights.converter:
         module, _, function = weights.converter.partition(":")
         getattr(importlib.import_module(module), function)(partial)
     record = WeightsRecord(
         name=weights.name,
-        revisions=plan.revisions,
-        fetched={file.address: fetched[file.path] for file in plan.files},
+        revisions={source.where: listing.commit for source, listing in listings if listing.commit},
+        fetched=fetched,
         converter=weights.converter,
-        files=written_files(partial, weights.converted, fetched),
+        files=written_files(partial, weights.converted, known),
     )
     files.write_json(partial / RECORD_FILE, record.model_dump(mode="json"))
 
@@ -126,10 +157,12 @@ def _fill(weights: Weights, partial: Path, progress: Progress) -> None:
 def _finish(partial: Path, folder: Path) -> None:
     """Remove what the record does not name, and give the folder its name; an older one goes."""
     record = read_weights_record(partial)
-    for path in sorted(partial.rglob("*")):
+    for path in sorted(partial.rglob("*"), reverse=True):
         name = path.relative_to(partial).as_posix()
         if path.is_file() and name not in record.files and name != RECORD_FILE:
             path.unlink()
+        elif path.is_dir() and not any(path.iterdir()):
+            path.rmdir()
     older = folder.with_name(f".{folder.name}.older")
     shutil.rmtree(older, ignore_errors=True)
     if folder.exists():
@@ -139,75 +172,231 @@ def _finish(partial: Path, folder: Path) -> None:
     shutil.rmtree(older, ignore_errors=True)
 
 
-def _plan(weights: Weights, partial: Path) -> FetchPlan:
-    """The plan of an earlier try if it is for the same entry; else a new one in an empty folder."""
-    entry = value_hash(
-        [
-            [one.where, one.files, one.revision, dict(one.sha256), one.into]
-            for one in weights.sources
-        ]
-    )
-    path = partial / PLAN_FILE
-    if path.is_file():
-        plan = read_record(path, FetchPlan, 1, f"remove {partial}")
-        if plan.entry == entry:
-            return plan
-    for old in partial.iterdir():
-        shutil.rmtree(old) if old.is_dir() else old.unlink()
-    revisions: dict[str, str] = {}
-    planned: list[transfer.RemoteFile] = []
-    for source in weights.sources:
-        if source.repository:
-            revisions[source.where], found = transfer.repository_files(source)
-            names = [name for wanted in source.files for name in _matching(source, wanted, found)]
-        else:
-            found = {name: transfer.web_file(source.address(name)) for name in source.files}
-            names = list(source.files)
-        planned += [_planned(source, name, found[name]) for name in dict.fromkeys(names)]
-    plan = FetchPlan(entry=entry, revisions=revisions, files=tuple(planned))
-    files.write_json(path, plan.model_dump(mode="json"))
-    return plan
-
-
-def _matching(
-    source: WeightsSource, wanted: str, found: dict[str, transfer.RemoteFile]
-) -> list[str]:
-    names = fnmatch.filter(found, wanted) if "*" in wanted else [wanted] * (wanted in found)
-    if not names:
-        raise InputError(
-            source.where,
-            wanted,
-            f"is not in the repository at {source.revision or 'main'}",
-            "tell the maintainers of recast: the publisher changed the layout",
-        )
-    return names
-
-
-def _planned(source: WeightsSource, name: str, file: transfer.RemoteFile) -> transfer.RemoteFile:
-    pinned = source.sha256.get(name, file.sha256)
-    if file.sha256 not in (None, pinned):
-        problem = f"have SHA-256 {file.sha256} on the server, recast pins {pinned}"
-        raise InputError(
-            file.address, "bytes", problem, "check the mirror if one is set; nothing was downloaded"
-        )
-    path = f"{source.into}/{name}" if source.into else name
-    return file.model_copy(update={"path": path, "sha256": pinned})
-
-
-def _require_space(weights: Weights, plan: FetchPlan, partial: Path) -> None:
+def _require_space(weights: Weights, targets: dict[Path, _File], partial: Path) -> None:
     """Refuse a disk that cannot take what is still to come, before anything comes."""
     needed = 0
-    for file in plan.files:
-        target = partial / file.path
-        part = files.partial_name(target)
-        there = [one.stat().st_size for one in (target, part) if one.is_file()]
-        needed += max(0, (file.size or 0) - sum(there))
-        if file.path in weights.converted:
-            needed += file.size or 0
+    for path, file in targets.items():
+        size = file.size or 0
+        there = (one for one in (path, files.partial_name(path)) if one.is_file())
+        needed += max(0, size - sum(one.stat().st_size for one in there))
+        if path.relative_to(partial).as_posix() in weights.converted:
+            needed += size
     free = shutil.disk_usage(partial).free
     if needed > free:
         problem = f"has {free / 1e9:.1f} GB free, {weights.name} needs {needed / 1e9:.1f} GB"
         raise InputError(partial.parent, "disk", problem, "free some space, or set RECAST_WEIGHTS")
+
+
+def _actual(address: str) -> str:
+    """The address that is asked instead of the publisher's."""
+    mirror = (os.environ.get(MIRROR) or "").rstrip("/")
+    if address.startswith(HUB):
+        hub = mirror or (os.environ.get(_HUB_MIRROR) or HUB).rstrip("/")
+        return hub + address.removeprefix(HUB)
+    return f"{mirror}/{address.partition('://')[2]}" if mirror else address
+
+
+def list_source(source: WeightsSource) -> SourceListing:
+    """Ask a source for the files of the table, and compare the answer with the pins.
+
+    Raises:
+        InputError: no answer, no such repository, commit or file, it asks for a login, or the
+            answer is of another commit, of other hashes, or unusable.
+    """
+    from huggingface_hub import HfApi, get_session
+    from huggingface_hub.utils import hf_raise_for_status
+
+    if not source.repository:
+        found = []
+        for name in source.files:
+            address = source.address(name)
+            with _answers(address):
+                asked = {"accept-encoding": "identity"}
+                answer = get_session().head(
+                    _actual(address), headers=asked, timeout=30.0, follow_redirects=True
+                )
+                hf_raise_for_status(answer)
+            length = answer.headers.get("Content-Length", "")
+            size = (
+                int(length) if length.isascii() and length.isdigit() and len(length) < 16 else None
+            )
+            found.append(_File(name=name, size=size, sha256=source.sha256.get(name)))
+        return SourceListing(files=tuple(found))
+    page, wanted = f"{HUB}/{source.where}", source.revision or "main"
+    with _answers(page):
+        api = HfApi(endpoint=_actual(HUB), library_name="recast")
+        info = api.model_info(source.where, revision=wanted, files_metadata=True, timeout=30.0)
+        listed = [
+            {
+                "name": one.rfilename,
+                "size": one.lfs.size if one.lfs else one.size,
+                "sha256": one.lfs.sha256 if one.lfs else None,
+                "blob": None if one.lfs else one.blob_id,
+            }
+            for one in info.siblings or []
+        ]
+    answer = {"commit": info.sha, "files": listed}
+    listing = validated(_actual(page), answer, SourceListing, _ELSEWHERE)
+    if source.revision not in (None, listing.commit):
+        problem = f"answers with commit {listing.commit}, not {source.revision}"
+        raise InputError(_actual(page), "revision", problem, _ELSEWHERE)
+    for pattern in source.files:
+        if not fnmatch.filter([file.name for file in listing.files], pattern):
+            problem = f"is not in the repository at {wanted}"
+            mend = "tell the maintainers of recast: the publisher changed the layout"
+            raise InputError(source.where, pattern, problem, mend)
+    asked_for = (
+        file
+        for file in listing.files
+        if any(fnmatch.fnmatch(file.name, pattern) for pattern in source.files)
+    )
+    return SourceListing(
+        commit=listing.commit, files=tuple(_pinned(source, file) for file in asked_for)
+    )
+
+
+def _pinned(source: WeightsSource, file: _File) -> _File:
+    pinned = source.sha256.get(file.name, file.sha256)
+    if file.sha256 not in (None, pinned):
+        problem = f"have SHA-256 {file.sha256} on the server, recast pins {pinned}"
+        mend = "check the mirror if one is set; nothing was downloaded"
+        raise InputError(source.address(file.name), "bytes", problem, mend)
+    return file.model_copy(update={"sha256": pinned})
+
+
+def _download(
+    source: WeightsSource, listing: SourceListing, folder: Path, progress: Progress
+) -> None:
+    """Download the files of a source that are not there yet.
+
+    Raises:
+        InputError: no answer, the transfer was cut again and again, or the disk refuses.
+    """
+    from huggingface_hub import snapshot_download
+    from huggingface_hub.file_download import http_get
+
+    total = sum(file.size or 0 for file in listing.files) or None
+    bars = _reporting(lambda came: progress(source.where, came, total))
+    if source.repository:
+        with _answers(f"{HUB}/{source.where}"), files.disk_errors(folder):
+            snapshot_download(
+                source.where,
+                revision=listing.commit,
+                local_dir=folder,
+                allow_patterns=[*source.files],
+                endpoint=_actual(HUB),
+                library_name="recast",
+                tqdm_class=bars,
+            )
+        return
+    for file in listing.files:
+        target, address = folder / file.name, source.address(file.name)
+        if target.is_file():
+            continue
+        part = files.partial_name(target)
+        with _answers(address), files.disk_errors(target):
+            target.parent.mkdir(parents=True, exist_ok=True)
+            had = part.stat().st_size if part.exists() and file.size is not None else 0
+            with part.open("ab" if 0 < had <= (file.size or 0) else "wb") as stream:
+                asked = {"accept-encoding": "identity"}
+                http_get(
+                    _actual(address),
+                    stream,
+                    resume_size=stream.tell(),
+                    headers=asked,
+                    expected_size=file.size,
+                    tqdm_class=bars,
+                )
+            part.replace(target)
+
+
+def _checked(file: _File, path: Path, address: str) -> FetchedFile:
+    """What was downloaded; bytes that are not those that were asked for are removed.
+
+    Raises:
+        InputError: the file is missing, or has another size or hash.
+    """
+    mend = "try again; if it fails again, check the mirror if one is set"
+    if not path.is_file():
+        raise InputError(address, "file", "was not downloaded", mend)
+    found, problem = file_record(path), ""
+    if file.size not in (None, found.size):
+        problem = f"are {found.size}, not {file.size}"
+    elif file.sha256 not in (None, found.sha256):
+        problem = f"have SHA-256 {found.sha256}, not {file.sha256}"
+    elif file.blob is not None:
+        digest = hashlib.sha1(b"blob %d\0" % found.size, usedforsecurity=False)
+        with path.open("rb") as stream:
+            blob = hashlib.file_digest(stream, lambda: digest).hexdigest()
+        problem = "" if blob == file.blob else f"have git hash {blob}, not {file.blob}"
+    if problem:
+        path.unlink()
+        raise InputError(address, "bytes", problem, mend)
+    return found
+
+
+def _reporting(step: Callable[[int], None]) -> Any:
+    """A class for progress bars of huggingface_hub that draws nothing and counts bytes."""
+    from huggingface_hub.utils import tqdm
+
+    class Reporting(tqdm):
+        def __init__(self, *values: Any, **options: Any) -> None:
+            name, begun = options.get("name", ""), options.get("initial", 0)
+            self._bytes = begun if name in _BYTES else None
+            super().__init__(*values, **options | {"disable": True})
+
+        def update(self, n: float | None = 1) -> bool | None:
+            if self._bytes is not None:
+                self._bytes += int(n or 0)
+                step(self._bytes)
+            return None
+
+    return Reporting
+
+
+_BYTES = ("huggingface_hub.snapshot_download", "huggingface_hub.http_get")
+"""Names of the library's bars that count bytes on disk."""
+
+
+@contextmanager
+def _answers(address: str) -> Iterator[None]:
+    """Whatever goes wrong on the way to a server is one line, and the library says nothing."""
+    from huggingface_hub.errors import HfHubHTTPError, OfflineModeIsEnabled
+    from huggingface_hub.utils import logging
+
+    asked = _actual(address)
+    level = logging.get_verbosity()
+    logging.set_verbosity_error()
+    try:
+        yield
+    except InputError:
+        raise
+    except OfflineModeIsEnabled:
+        problem = "is switched off by HF_HUB_OFFLINE or TRANSFORMERS_OFFLINE"
+        raise InputError(asked, "network", problem, "unset it for `recast weights get`") from None
+    except HfHubHTTPError as error:
+        status = error.response.status_code
+        if status in (401, 403):
+            problem = "asks for a login: it is gated, private or missing"
+            mend = f"accept its terms at {address}, then `hf auth login` or set HF_TOKEN"
+        else:
+            problem = "does not exist" if status == 404 else f"answers with HTTP status {status}"
+            mend = "check the mirror" if asked != address else "try again later"
+        raise InputError(asked, "server", problem, mend) from error
+    except (ValueError, TypeError, LookupError, AttributeError, RecursionError) as error:
+        problem = f"gives an answer that cannot be used ({_first_line(error)})"
+        raise InputError(asked, "server", problem, _ELSEWHERE) from error
+    except Exception as error:  # of the HTTP library, of TLS, of the system
+        problem = f"does not answer ({_first_line(error)})"
+        mend = "check the connection; the same command resumes"
+        raise InputError(asked, "network", problem, mend) from error
+    finally:
+        logging.set_verbosity(level)
+
+
+def _first_line(error: Exception) -> str:
+    lines = str(error).strip().splitlines()
+    return f"{type(error).__name__}: {lines[0] if lines else ''}"
 
 
 def safetensors_of_pickle(folder: Path) -> None:
@@ -232,11 +421,10 @@ def safetensors_of_pickle(folder: Path) -> None:
         at = dense.untyped_storage().data_ptr()
         apart[name] = dense.clone() if at in memory else dense
         memory.add(at)
-    with atomic_file(folder / _SAFETENSORS) as partial:
+    with files.atomic_file(folder / _SAFETENSORS) as partial:
         try:
             save_file(apart, partial, {"format": "pt"})
         except SafetensorError as error:  # a full disk is said in a way of its own
             problem = f"cannot be written ({error})"
-            raise InputError(
-                folder / _SAFETENSORS, "file", problem, "free some space and run again"
-            ) from error
+            where = folder / _SAFETENSORS
+            raise InputError(where, "file", problem, "free some space and run again") from error

@@ -8,13 +8,15 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
+import httpx2
 import numpy as np
+from huggingface_hub import set_client_factory
 
 from fuzz.target import Target
 from recast.core.errors import InputError
 from recast.core.files import parse_json, read_bytes, write_json
+from recast.weights.fetch import list_source
 from recast.weights.table import Licence, WeightsSource
-from recast.weights.transfer import listed_files
 from recast_bridges.alpasim.cameras import camera_message
 from recast_bridges.alpasim.messages import message
 from recast_bridges.alpasim.poses import pose_pair
@@ -139,7 +141,9 @@ def _read_ncap(path: Path) -> object:
 def _read_listing(path: Path) -> object:
     licence = Licence("MIT", "https://example.org/mit")
     source = WeightsSource("someone/networks", ("*",), licence, _COMMIT)
-    return listed_files(source, "hub", path.read_bytes())
+    answer = httpx2.Response(200, content=path.read_bytes())
+    set_client_factory(lambda: httpx2.Client(transport=httpx2.MockTransport(lambda _: answer)))
+    return list_source(source)
 
 
 TARGETS = (
