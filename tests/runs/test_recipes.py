@@ -69,12 +69,18 @@ def _plain(value: object) -> object:
     return (type(value).__name__, *((name, _plain(inner)) for name, inner in fields))
 
 
+@cache
+def module_hash(path: Path) -> str:
+    """`tree_hash` of a file; several steps share it."""
+    return tree_hash(path.read_text())
+
+
 def code_hash(step: str) -> str:
     """Hash of all modules of a step, whatever they are called."""
     places = [SOURCE / part for part in CODE[step]]
     paths = [p for one in places for p in (one.rglob("*.py") if one.is_dir() else [one])]
     assert all(path.is_file() for path in paths) and paths
-    found = sorted(tree_hash(path.read_text()) for path in paths)
+    found = sorted(module_hash(path) for path in paths)
     return hashlib.sha256("".join(found).encode()).hexdigest()[:16]
 
 

@@ -8,12 +8,13 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
+from functools import lru_cache
 from itertools import combinations_with_replacement
 from math import factorial
 from typing import Any, Protocol, Self, TypeVar
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from recast.arrays import Array
 from recast.dynamics.state import moved_left
@@ -451,10 +452,7 @@ def exact_bootstrap(scenes: Sequence[ArrayLike], level: float = 0.95) -> Bootstr
     n = len(sums)
     if n > MOST_EXACT:
         raise ValueError(f"exact_bootstrap: {n} scenes are too many to enumerate; sample instead")
-    multisets = np.array(list(combinations_with_replacement(range(n), n)))
-    times = np.stack([(multisets == scene).sum(axis=1) for scene in range(n)], axis=1)
-    factorials = np.array([float(factorial(k)) for k in range(n + 1)])
-    probability = factorials[n] / factorials[times].prod(axis=1) / float(n) ** n
+    times, probability = _multisets(n)
     values = (times @ sums) / (times @ counts)
     order = np.argsort(values, kind="stable")
     cumulative = np.cumsum(probability[order])
@@ -466,6 +464,15 @@ def exact_bootstrap(scenes: Sequence[ArrayLike], level: float = 0.95) -> Bootstr
     mean = float(probability @ values)
     std = float(np.sqrt(probability @ (values - mean) ** 2))
     return Bootstrap(float(sums.sum() / counts.sum()), float(low), float(high), mean, std, level)
+
+
+@lru_cache(maxsize=1)  # a second for 11 scenes, and every metric of a grid has the same
+def _multisets(n: int) -> tuple[NDArray[np.int64], Array]:
+    """How often (M, n) each of n scenes is in each multiset of n, and its probability (M,)."""
+    multisets = np.array(list(combinations_with_replacement(range(n), n)))
+    times = np.stack([(multisets == scene).sum(axis=1) for scene in range(n)], axis=1)
+    factorials = np.array([float(factorial(k)) for k in range(n + 1)])
+    return times, factorials[n] / factorials[times].prod(axis=1) / float(n) ** n
 
 
 def _sums_and_counts(scenes: Sequence[ArrayLike]) -> tuple[Array, Array]:
