@@ -27,6 +27,7 @@ from recast.cli.main import Command
 PACKAGES = {
     "recast.logs": "Logs and maps",
     "recast.scene": "Street scenes",
+    "recast.reconstruction": "Reconstruction of street scenes",
     "recast.actors": "Vehicles",
     "recast.planning": "Planners",
     "recast.planning.gtrs": "GTRS planners",
@@ -59,7 +60,7 @@ MODELS = {
     ),
     "Scenes": (
         (
-            "recast.scene.config",
+            "recast.reconstruction.config",
             "SceneConfig",
             "`scene` in `run.json`, `config.json` of a scene, and files for `--scene-config`",
         ),

@@ -6,6 +6,7 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from pathlib import Path
 
 import numpy as np
 import torch
@@ -46,6 +47,7 @@ from recast.reconstruction.views import Level, TrainingView, make_levels, visibl
 from recast.scene.actor import Deforming, SceneActor
 from recast.scene.appearance import coloured, frozen, mirrored, share_of
 from recast.scene.poses import DEFORMABLE
+from recast.scene.store import save_scene
 from recast.scene.street_scene import StreetScene
 from recast.splats import Gaussians, RasterMeta, RowAdam, concatenate, rasterize
 
@@ -270,6 +272,12 @@ class Trainer:
             log_name=log.name,
         )
         return scene.exposed(self.exposures.mean()) if self._exposes() else scene
+
+    def save(self, log: DrivingLog, folder: Path) -> StreetScene:
+        """Write the scene as it stands into a folder, see `save_scene`."""
+        scene = self.scene(log)
+        save_scene(scene, folder)
+        return scene
 
     def _actor(self, track_id: str, deformation: Deforming | None) -> SceneActor:
         learned, fourier = self.model.actor(track_id)

@@ -35,7 +35,6 @@ from recast.scene.store import (
     load_scene,
     log_fingerprint,
     read_tensors,
-    save_scene,
     write_tensors,
 )
 from recast.scene.street_scene import StreetScene
@@ -94,29 +93,30 @@ def train_scene(
     place = pick_device(device)
     claim_folder(out, log, config)
     with alone_in(out):
-        return _trained(log, out, config, place, progress or (lambda status: None))
+        if (out / SCENE_FILE).is_file():
+            shutil.rmtree(out / WORK_FOLDER, ignore_errors=True)  # a kill may have been faster
+            mend = "train the scene again"
+            budget = read_record(out / BUDGET_FILE, Budget, BUDGET_VERSION, mend)
+            return TrainResult(load_scene(out), out, read_json(out / HISTORY_FILE), budget)
+        threads = config.threads or usable_cores()
+        with _threads_for_kernels(threads):
+            return _Run(
+                log, out, config, threads, place, progress or (lambda status: None)
+            ).finish()
 
 
-def _trained(
-    log: DrivingLog, out: Path, config: SceneConfig, place: torch.device, progress: ProgressCallback
-) -> TrainResult:
-    if (out / SCENE_FILE).is_file():
-        shutil.rmtree(out / WORK_FOLDER, ignore_errors=True)  # a kill may have been faster
-        mend = "train the scene again"
-        budget = read_record(out / BUDGET_FILE, Budget, BUDGET_VERSION, mend)
-        return TrainResult(load_scene(out), out, read_json(out / HISTORY_FILE), budget)
-    threads = config.threads or usable_cores()
-    run = _Run(log, out, config, threads, place, progress)
+@contextmanager
+def _threads_for_kernels(threads: int) -> Iterator[None]:
+    """The rasterizer and the losses bring their own threads; torch's and OpenCV's would spin
+    against them for tensors that one core handles in microseconds."""
     before = torch.get_num_threads(), cv2.getNumThreads(), torch.backends.cudnn.allow_tf32
     try:
-        # The rasterizer and the losses bring their own threads; torch's and OpenCV's would spin
-        # against them for tensors that one core handles in microseconds.
         torch.set_num_threads(1)
         cv2.setNumThreads(1)
         # SSIM takes variances as differences of blurs: ten bits of mantissa leave little of them.
         torch.backends.cudnn.allow_tf32 = False
         set_threads(threads)
-        return run.finish()
+        yield
     finally:
         torch.set_num_threads(before[0])
         cv2.setNumThreads(before[1])
@@ -124,6 +124,8 @@ def _trained(
 
 
 class _Run:
+    """A training from its first step, or its last checkpoint, to the scene's files."""
+
     def __init__(
         self,
         log: DrivingLog,
@@ -173,7 +175,6 @@ class _Run:
             if trainer.iteration % config.checkpoint_every == 0 and not last:
                 notes = {"history": history, "recent": list(self._recent)}
                 save_checkpoint(trainer, notes, checkpoint)
-        scene = trainer.scene(self._log)
         budget = budget.model_copy(
             update={
                 "first_found": start.found,
@@ -184,7 +185,7 @@ class _Run:
         )
         write_json(self._out / BUDGET_FILE, budget.model_dump(mode="json"))
         write_json(self._out / HISTORY_FILE, history)
-        save_scene(scene, self._out)
+        scene = trainer.save(self._log, self._out)
         shutil.rmtree(self._work, ignore_errors=True)
         self._tell("done", trainer.iteration, trainer, history)
         return TrainResult(scene, self._out, history, budget)
