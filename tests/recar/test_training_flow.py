@@ -23,7 +23,6 @@ from recast.recar.training_conditions import (
     TrainingAsset,
     balanced_parts,
     draw_identities,
-    missing_pictures,
     open_conditions,
 )
 from recast.recar.training_config import FlowObjective
@@ -244,7 +243,6 @@ def test_conditions_of_assets_are_their_crops() -> None:
     assert source.picture("20", 1)[0, 0, 0] == 21
     with pytest.raises(IndexError):
         source.picture("20", 2)
-    assert missing_pictures(source, ("10", "30")) == ("30",)
 
 
 @given(st.lists(st.integers(1, 1000), min_size=1, max_size=12), st.data())

@@ -71,7 +71,7 @@ class Ingest:
         from recast.core.errors import InputError, printable
         from recast.core.progress import ProgressBar
         from recast.recar.ingest import ingest_photographs
-        from recast.recar.ingest_table import EXPERIMENTAL, IngestSettings
+        from recast.recar.ingest_table import IngestSettings
 
         settings = IngestSettings(
             self.licence,
@@ -90,7 +90,7 @@ class Ingest:
         )
         remover = None if self.remover == "none" else remover_of(self.remover)
         console = console_for(False)
-        if self.layout in EXPERIMENTAL:
+        if self.layout != "regular":
             console.print(
                 f"note: {self.layout} is experimental, it has not met real data: look at the set",
                 markup=False,

@@ -56,15 +56,8 @@ def photographs_of(photos: Path, row: VehicleRow, settings: IngestSettings) -> t
         InputError: the folder is missing, photographs are missing, too many or of several sizes,
             or their azimuths are not regular.
     """
-    folder = member(photos, row.folder or row.id, row.id, "folder")
-    with disk_errors(folder):
-        if not folder.is_dir():
-            mend = f"add the folder, or remove {row.id} from the table"
-            raise InputError(folder, "folder", "is missing", mend)
-        files = [path for path in folder.iterdir() if path.is_file() and path.name[0] != "."]
-    found = sorted((f for f in files if f.suffix.lower() in SUFFIXES), key=natural_order)
+    folder, found, others = _listed(photos, row)
     if len(found) != settings.views:
-        others = len(files) - len(found)
         looked = f" ({others} other files were ignored)" if others else ""
         problem = f"are {len(found)}, but the set has {settings.views} views{looked}"
         mend = "add the missing azimuths, or give `views`"
@@ -74,6 +67,22 @@ def photographs_of(photos: Path, row: VehicleRow, settings: IngestSettings) -> t
     )
     check_sizes(ordered, settings)
     return tuple(ordered)
+
+
+def _listed(photos: Path, row: VehicleRow, inner: str = "") -> tuple[Path, list[Path], int]:
+    """Folder of a vehicle, its photographs in natural order, and the number of other files.
+
+    Photographs are looked for in the folder `inner` of it, if there is one.
+    """
+    folder = member(photos, row.folder or row.id, row.id, "folder")
+    with disk_errors(folder):
+        if not folder.is_dir():
+            mend = f"add the folder, or remove {row.id} from the table"
+            raise InputError(folder, "folder", "is missing", mend)
+        place = folder / inner if (folder / inner).is_dir() else folder
+        files = [path for path in place.iterdir() if path.is_file() and path.name[0] != "."]
+    found = sorted((f for f in files if f.suffix.lower() in SUFFIXES), key=natural_order)
+    return folder, found, len(files) - len(found)
 
 
 def _by_order(found: list[Path], row: VehicleRow, settings: IngestSettings) -> list[Path]:
@@ -242,8 +251,7 @@ def pick_photographs(
         InputError: photographs or poses are missing, the front is not named, the cameras do not go
             around the vehicle, or no photograph is near an azimuth.
     """
-    folder = member(photos, row.folder or row.id, row.id, "folder")
-    found = _photographs(folder)
+    folder, found, _ = _listed(photos, row, "images")
     if len(found) < views:
         problem = f"are {len(found)}, but the set has {views} views"
         raise InputError(folder, "photographs", problem, "give fewer `views`")
@@ -292,18 +300,6 @@ def around(poses: Array, front: int) -> tuple[Array, Array]:
     ahead = flat[front] / reach[front]
     azimuths = np.degrees(np.arctan2(flat @ np.cross(up, ahead), flat @ ahead)) % 360.0
     return azimuths, np.degrees(np.arctan2(height, reach))
-
-
-def _photographs(folder: Path) -> list[Path]:
-    with disk_errors(folder):
-        if not folder.is_dir():
-            raise InputError(
-                folder, "folder", "is missing", "add the folder, or remove its row from the table"
-            )
-        inner = folder / "images"
-        files = (inner if inner.is_dir() else folder).iterdir()
-        found = [path for path in files if path.is_file() and path.name[0] != "."]
-    return sorted((f for f in found if f.suffix.lower() in SUFFIXES), key=natural_order)
 
 
 def _directions(

@@ -58,16 +58,6 @@ def read_photograph(path: Path) -> tuple[Image, NDArray[np.uint8] | None]:
     return rgb(levels), np.ascontiguousarray(alpha)
 
 
-def read_mask(path: Path, size: tuple[int, ...]) -> NDArray[np.uint8]:
-    """A mask (H, W) of a photograph of `size` (W, H): 255 on the vehicle, soft at its edge.
-
-    Raises:
-        InputError: see `decode_mask`.
-    """
-    how = _HOW | {"what": "mask", "mend": "replace the mask"}
-    return decode_mask(path, path, (size[0], size[1]), "the photograph", **how)
-
-
 def fit(rgb: Image, alpha: NDArray[np.uint8], width: int, height: int) -> Image:
     """Scaled to fit `width` x `height` and centred there, transparent beside it: (H, W, 4).
 
@@ -157,7 +147,9 @@ def prepare(
     for path, mask in zip(candidate.photographs, masks, strict=True):
         rgb, alpha = read_photograph(path)
         if mask is not None:
-            alpha = read_mask(mask, rgb.shape[1::-1])
+            how = _HOW | {"what": "mask", "mend": "replace the mask"}
+            size = rgb.shape[1], rgb.shape[0]
+            alpha = decode_mask(mask, mask, size, "the photograph", **how)  # soft at its edge
         elif alpha is None:
             if remover is None:
                 raise InputError(

@@ -13,7 +13,7 @@ from typing import Annotated, Any
 from pydantic import Field, FiniteFloat, ValidationError, model_validator
 
 from recast.core import files
-from recast.core.errors import InputError
+from recast.core.errors import InputError, require_range
 from recast.core.records import Record, validation_error
 from recast.recar.vehicle_set import (
     HELD_OUT_SHARE,
@@ -51,23 +51,20 @@ class WalkaroundLayout:
     Attributes:
         title: its name, for people.
         width, height: width and height of the published photographs in pixels, either way up.
-        photographs: approximate number of photographs of a vehicle.
     """
 
     title: str
     width: int
     height: int
-    photographs: int
 
 
 LAYOUTS: Mapping[str, WalkaroundLayout | None] = {
     "regular": None,
-    "3drealcar": WalkaroundLayout("3DRealCar", 1920, 1440, 200),
-    "mad-cars": WalkaroundLayout("MAD-CARS", 1920, 1080, 85),
+    "3drealcar": WalkaroundLayout("3DRealCar", 1920, 1440),
+    "mad-cars": WalkaroundLayout("MAD-CARS", 1920, 1080),
 }
-"""By the word of the command line; None where photographs are regular, see `photographs_of`."""
-EXPERIMENTAL = frozenset({"3drealcar", "mad-cars"})
-"""Layouts that have not met real data."""
+"""By the word of the command line; None where photographs are regular, see `photographs_of`. Those
+of walk-arounds have not met real data."""
 
 
 @dataclass(frozen=True)
@@ -112,23 +109,17 @@ class IngestSettings:
         Raises:
             InputError: the first one, named as the option of the command line.
         """
-        for option, value, low, high in (
-            ("`views`", self.views, 1, MOST_VIEWS),
-            ("`width`", self.width, 16, LARGEST_SIDE),
-            ("`height`", self.height, 16, LARGEST_SIDE),
-            ("`elevation`", self.elevation_deg, -89, 89),
-            ("`fov`", self.fov_deg, 1, 170),
-            ("`split_seed`", self.split_seed, 0, 2**63),
-            ("`held_out`", self.held_out_share, 0, 1),
-            ("`duplicate_bits`", self.duplicate_bits, 0, BITS),
-            ("`azimuth_within`", self.azimuth_within_deg, 0, 180),
-        ):
-            if value is not None and not low <= value <= high:
-                raise InputError(option, "value", f"is {value}", f"give {low} to {high}")
+        require_range(1, MOST_VIEWS, views=self.views)
+        require_range(16, LARGEST_SIDE, width=self.width, height=self.height)
+        require_range(-89, 89, elevation=self.elevation_deg)
+        require_range(1, 170, fov=self.fov_deg)
+        require_range(0, 2**63, split_seed=self.split_seed)
+        require_range(0, 1, held_out=self.held_out_share)
+        require_range(0, BITS, duplicate_bits=self.duplicate_bits)
+        require_range(0, 180, azimuth_within=self.azimuth_within_deg)
         if self.layout not in LAYOUTS:
-            raise InputError(
-                "`layout`", self.layout, "is unknown", f"choose one of {', '.join(LAYOUTS)}"
-            )
+            mend = f"choose one of {', '.join(LAYOUTS)}"
+            raise InputError("`layout`", self.layout, "is unknown", mend)
         for option, text in (("`licence`", self.licence), ("`source`", self.source)):
             if not text.strip():
                 raise InputError(option, "value", "is empty", "describe it in words")

@@ -200,9 +200,7 @@ def compose(
 def surroundings(rgba: Image, finest: float) -> Image:
     """Cut to a rectangle around the object, as far as the picture has it; shrink if need be.
 
-    Args:
-        rgba: (H, W, 4) uint8, straight alpha.
-        finest: longest extent in pixels that is kept.
+    `finest` is the longest extent in pixels that is kept.
     """
     box = find_object(rgba)
     edge = int(np.ceil(_ROOM * box.extent))
@@ -234,13 +232,7 @@ def write_sheet(rgba: Image, config: PerturbationConfig, seed: int, path: Path) 
 
     Each kind is a row of five severities over light grey, with equal random draws, so that one
     fault grows from left to right. Below are ten results of the whole configuration as the model
-    gets them: square and on black.
-
-    Args:
-        rgba: (H, W, 4) uint8, straight alpha.
-        config: figures of all kinds; those of weight 0 are shown too.
-        seed: seed of everything random.
-        path: PNG to write.
+    gets them: square and on black. Kinds of weight 0 are shown too.
 
     Raises:
         InputError: `rgba` is refused by `recast.trellis.check_crop`.

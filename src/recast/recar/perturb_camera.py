@@ -37,12 +37,9 @@ _BLOCK = 16  # pixels of a coding unit where colour is halved in both directions
 
 
 def convolve(rgba: Image, kernel: Floats, width: float) -> Image:
-    """Blur in linear light, premultiplied by alpha; the mask is then cut as a segmenter would.
+    """Blur (H, W, 4) uint8 in linear light; the mask is then cut as a segmenter would.
 
-    Args:
-        rgba: (H, W, 4) uint8, straight alpha.
-        kernel: (k, k) kernel that sums to 1, k odd.
-        width: width of an edge after the blur, in pixels.
+    The kernel (k, k), k odd, sums to 1; `width` is that of an edge after the blur, in pixels.
     """
     colour, alpha = colour_and_alpha(rgba)
     light = np.dstack([srgb_to_linear(colour) * alpha[..., None], alpha])
@@ -80,12 +77,7 @@ class Defocus(PerturbationKind):
 
 
 def line_kernel(length: float, angle: float) -> Floats:
-    """Uniform line through the centre.
-
-    Args:
-        length: length in pixels.
-        angle: angle in radians from the picture's x axis.
-    """
+    """Uniform line of `length` pixels through the centre, `angle` radians from the x axis."""
     reach = int(np.ceil(length / 2))
     offset = np.arange(-reach, reach + 1)
     kernel = np.zeros((2 * reach + 1, 2 * reach + 1), np.float32)
@@ -121,12 +113,9 @@ class MotionBlur(PerturbationKind):
 
 
 def resample(rgba: Image, scale: float, enlarger: int) -> Image:
-    """Shrink by a factor in (0, 1] through area averages, and enlarge again.
+    """Shrink (H, W, 4) uint8 to `scale` in (0, 1] by area averages, and enlarge again.
 
-    Args:
-        rgba: (H, W, 4) uint8, straight alpha.
-        scale: scale of the small picture over this one.
-        enlarger: OpenCV's interpolation on the way up.
+    `enlarger` is OpenCV's interpolation on the way up.
     """
     height, width = rgba.shape[:2]
     small_size = (max(round(width * scale), 1), max(round(height * scale), 1))
@@ -159,11 +148,7 @@ def sensor_noise(
 ) -> Floats:
     """Shot noise (Poisson) and read noise (Gaussian) of a sensor, in the unit of `light`.
 
-    Args:
-        light: linear light; 1 fills the well.
-        full_well: number of electrons at 1.
-        read_noise: standard deviation in electrons.
-        rng: generator of the noise.
+    Linear light of 1 is `full_well` electrons; `read_noise` is a standard deviation in electrons.
     """
     electrons = np.clip(light, 0, None).astype(np.float64) * full_well
     # Gaussian draws first: how many the Poisson ones take depends on the light.
@@ -209,10 +194,7 @@ class LowLight(PerturbationKind):
 def koschmieder(light: Floats, transmission: float, airlight: Floats) -> Floats:
     """I = J t + A (1 - t) in linear light, t = exp(-beta d), one depth for the whole object.
 
-    Args:
-        light: (H, W, 3) light J without fog.
-        transmission: transmission t in [0, 1].
-        airlight: (3,) airlight A.
+    J is `light` (H, W, 3) without fog, t `transmission` in [0, 1], A `airlight` (3,).
     """
     return light * np.float32(transmission) + airlight * np.float32(1 - transmission)
 
@@ -246,10 +228,8 @@ class Fog(PerturbationKind):
 def through_jpeg(colour: Image, quality: int, corner: tuple[int, int]) -> Image:
     """Write and read (H, W, 3) uint8 as baseline JPEG with halved colour (4:2:0).
 
-    Args:
-        colour: display colours.
-        quality: JPEG quality as Pillow counts it, 1 to 95.
-        corner: row and column of this picture within a coding unit of the whole one.
+    `quality` is as Pillow counts it, 1 to 95; `corner` is the row and column of this picture
+    within a coding unit of the whole one.
     """
     row, column = corner
     padded = np.pad(colour, ((row, 0), (column, 0), (0, 0)), mode="edge")
@@ -297,10 +277,7 @@ class Compression(PerturbationKind):
         size = (max(round(width * scale), 1), max(round(height * scale), 1))
         small = np.asarray(cv2.resize(seen, size, interpolation=cv2.INTER_AREA), np.float32)
         quality = quality_between(self.best, self.worst, severity)
-        decoded = through_jpeg(_to_bytes(small), quality, (int(row), int(column)))
+        levels = np.round(255 * np.clip(small, 0, 1)).astype(np.uint8)
+        decoded = through_jpeg(levels, quality, (int(row), int(column)))
         large = cv2.resize(decoded, (width, height), interpolation=cv2.INTER_CUBIC)
         return with_alpha(large.astype(np.float32) / 255, alpha)
-
-
-def _to_bytes(unit: Floats) -> Image:
-    return np.round(255 * np.clip(unit, 0, 1)).astype(np.uint8)

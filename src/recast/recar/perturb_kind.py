@@ -144,11 +144,7 @@ def value_noise(
 ) -> Floats:
     """Random field (height, width) float32 with mean about 0 and standard deviation about 1.
 
-    Args:
-        height, width: height and width in pixels.
-        cell: size of its largest lumps, pixels.
-        rng: generator of the lumps.
-        octaves: number of octaves; each has lumps of half the size and of 0.5 times the strength.
+    Its largest lumps are `cell` pixels wide; each octave has lumps of half the size and strength.
     """
     total, power = np.zeros((height, width), np.float32), 0.0
     for octave in range(octaves):
@@ -165,13 +161,9 @@ def value_noise(
 
 
 def signed_distance(alpha: Floats) -> Floats:
-    """Pixels to the nearest pixel across the edge, less a half: positive where alpha > 0.5.
+    """Pixels (H, W) to the nearest pixel across the edge of alpha > 0.5, less a half.
 
-    Args:
-        alpha: (H, W) float32 alpha in [0, 1].
-
-    Returns:
-        (H, W) float32: 0.5 in the first pixel inside, -0.5 in the first one outside.
+    So it is 0.5 in the first pixel inside and -0.5 in the first one outside.
     """
     inside = (alpha > 0.5).astype(np.uint8)
     within = cv2.distanceTransform(inside, cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
@@ -180,15 +172,9 @@ def signed_distance(alpha: Floats) -> Floats:
 
 
 def reveal(rgba: Image, alpha: Floats, behind: Floats) -> Image:
-    """Give a picture another mask; where that is larger, the background is seen through it.
+    """Give a picture (H, W, 4) another mask `alpha` (H, W) in [0, 1].
 
-    Args:
-        rgba: (H, W, 4) uint8, straight alpha.
-        alpha: (H, W) new mask in [0, 1].
-        behind: (H, W, 3) display colours behind the object, in [0, 1].
-
-    Returns:
-        (H, W, 4) uint8, straight alpha.
+    Where that is larger, the display colours `behind` (H, W, 3) in [0, 1] are seen through it.
     """
     colour, before = colour_and_alpha(rgba)
     added = np.maximum(alpha - before, 0) / np.maximum(alpha, 1e-6)
@@ -213,18 +199,10 @@ _DAYLIGHT = 0.6  # the brightest parts of a dark car by day, in display colours
 
 
 def backdrop(rgba: Image, box: ObjectBox, rng: np.random.Generator) -> Floats:
-    """A road, and what stands beyond it, in the light in which the object is seen.
+    """A road, and what stands beyond it: (H, W, 3) float32 display colours in [0, 1].
 
-    The horizon runs through the upper part of the object, as a car's camera sees other cars.
-
-    Args:
-        rgba: (H, W, 4) uint8 picture of the object; where even the object's brightest parts are
-            dark, the backdrop is dark.
-        box: box of the object.
-        rng: generator of everything random.
-
-    Returns:
-        (H, W, 3) float32 display colours in [0, 1].
+    The horizon runs through the upper part of the object, as a car's camera sees other cars. The
+    light is that of the object: where even its brightest parts are dark, the backdrop is dark.
     """
     height, width = rgba.shape[:2]
     extent = box.extent
@@ -249,13 +227,8 @@ def backdrop(rgba: Image, box: ObjectBox, rng: np.random.Generator) -> Floats:
 
 
 def segmented(alpha: Floats, width: float) -> Floats:
-    """Sharpen a blurred coverage about one half, as segmenters cut sharply through any blur.
+    """Sharpen a blurred coverage (H, W) about one half, as segmenters cut sharply through any blur.
 
-    Args:
-        alpha: (H, W) blurred alpha in [0, 1].
-        width: width of the blurred edge, in pixels; up to 1 the mask stays as it is.
-
-    Returns:
-        (H, W) in [0, 1] with edges about a pixel wide.
+    `width` is that of the blurred edge in pixels; up to 1 the mask stays as it is.
     """
     return np.clip((alpha - 0.5) * max(width, 1.0) + 0.5, 0, 1)

@@ -99,13 +99,9 @@ def occlude(rgba: Image, coverage: Floats, colour: Floats, fringe: float) -> Ima
     An occluder narrower than two fringes stays in the mask whole, as thin poles do.
 
     Args:
-        rgba: (H, W, 4) uint8, straight alpha.
         coverage: (H, W) coverage by the occluder, in [0, 1].
         colour: (3,) colour of the occluder, sRGB in [0, 1].
         fringe: width of the occluder's edge that is taken for the object, pixels.
-
-    Returns:
-        (H, W, 4) uint8, straight alpha.
     """
     before, alpha = colour_and_alpha(rgba)
     solid = (coverage > 0.5).astype(np.uint8)

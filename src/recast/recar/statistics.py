@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -94,8 +94,6 @@ def set_statistics(vehicle_set: VehicleSet) -> SetStatistics:
 def statistics_table(vehicle_set: VehicleSet, statistics: SetStatistics) -> Group:
     """The figures for a terminal: the set, and its kinds and colours with their shares."""
     record, total = vehicle_set.record, statistics.identities
-    title = Text(printable(record.name))
-    summary = Table(title=title, title_justify="left", box=SIMPLE_HEAD, show_header=False)
     held_out = statistics.splits["held-out"]
     rows = [
         ("source", record.source),
@@ -118,13 +116,20 @@ def statistics_table(vehicle_set: VehicleSet, statistics: SetStatistics) -> Grou
             (name, f"{median[i]:.2f} m median, {least[i]:.2f} to {most[i]:.2f}")
             for i, name in enumerate(("length", "width", "height"))
         ]
-    for row in rows:
-        summary.add_row(row[0], Text(printable(row[1])))
     return Group(
-        summary,
+        summary_table(record.name, rows),
         _count_table("kind", statistics.kinds, total),
         _count_table("colour", statistics.colours, total),
     )
+
+
+def summary_table(title: str, rows: Iterable[tuple[str, str]]) -> Table:
+    """Names and what they say, for a terminal."""
+    shown = Text(printable(title))
+    table = Table(title=shown, title_justify="left", box=SIMPLE_HEAD, show_header=False)
+    for name, text in rows:
+        table.add_row(name, Text(printable(text)))
+    return table
 
 
 def _by_count(counts: Counter[str]) -> dict[str, int]:

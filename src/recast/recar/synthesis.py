@@ -13,7 +13,7 @@ import numpy as np
 
 from recast.arrays import Array, Image
 from recast.cameras import PinholeCamera
-from recast.core.errors import InputError
+from recast.core.errors import InputError, require_range
 from recast.core.files import alone_in
 from recast.core.progress import Progress, tell
 from recast.core.ray_cluster import worker_pool
@@ -79,18 +79,13 @@ class SynthesisSettings:
         """Raise InputError naming the option at fault."""
         from recast.synthetic.vehicles import KINDS
 
-        if self.seed < 0:
-            raise InputError("`seed`", "value", f"is {self.seed}", "give 0 or more")
-        if not 1 <= self.views <= MOST_VIEWS:
-            raise InputError("`views`", "value", f"is {self.views}", f"give 1 to {MOST_VIEWS}")
-        for option, pixels in (("`width`", self.width), ("`height`", self.height)):
-            if not 16 <= pixels <= LARGEST_SIDE:
-                raise InputError(option, "value", f"is {pixels}", f"give 16 to {LARGEST_SIDE}")
+        require_range(0, seed=self.seed)
+        require_range(1, MOST_VIEWS, views=self.views)
+        require_range(16, LARGEST_SIDE, width=self.width, height=self.height)
+        require_range(0, 1, held_out=self.held_out)
         for kind in self.kinds:
             if kind not in KINDS:
                 raise InputError("`kinds`", kind, "is unknown", f"choose from {', '.join(KINDS)}")
-        if not 0 <= self.held_out <= 1:
-            raise InputError("`held_out`", "value", f"is {self.held_out}", "give 0 to 1")
         if not self.licence.strip():
             raise InputError("`licence`", "value", "is empty", "name the licence of the images")
 
@@ -151,9 +146,7 @@ def plan_identities(
     Raises:
         InputError: a negative count, nothing at all, or a mesh file that is missing or named twice.
     """
-    for option, count in (("`vehicles`", vehicles), ("`shapes`", shapes)):
-        if count < 0:
-            raise InputError(option, "value", f"is {count}", "give 0 or more")
+    require_range(0, vehicles=vehicles, shapes=shapes)
     if vehicles + shapes + len(meshes) == 0:
         raise InputError(
             "`vehicles`", "value", "is 0, and no shapes or meshes are requested", "give 1 or more"
@@ -233,15 +226,19 @@ def synthesize_set(
         InputError: impossible counts or sizes, a mesh that cannot be used, embreex not installed,
             or `out` holds something else, all before any work; or the disk is full.
     """
-    settings = settings or SynthesisSettings()
-    out = Path(out)
+    from recast.synthetic.rendering import require_embree
+
+    settings, out = settings or SynthesisSettings(), Path(out)
     settings.validate()
     worker_pool(workers)  # refuses less than one
     plan = plan_identities(settings, vehicles, shapes, [Path(mesh) for mesh in meshes], mesh_axes)
     ids = [planned.id for planned in plan]
     record = settings.record(out.absolute().name, len(plan))
     check_begin(out, record, ids)
-    _check_renderable(plan, settings)
+    require_embree()
+    for planned in plan:
+        if planned.mesh is not None:
+            make_model(planned, settings)  # refuses what cannot be used
     finished = begin_set(out, record, ids)
     left = [planned for planned in plan if planned.id not in finished]
     waiting, done = iter(left), len(finished)
@@ -254,15 +251,6 @@ def synthesize_set(
             tell(progress, done * record.views, len(plan) * record.views)
         finish_set(out, record)
     return read_set(out)
-
-
-def _check_renderable(plan: Sequence[PlannedIdentity], settings: SynthesisSettings) -> None:
-    from recast.synthetic.rendering import require_embree
-
-    require_embree()
-    for planned in plan:
-        if planned.mesh is not None:
-            make_model(planned, settings)
 
 
 def _start(

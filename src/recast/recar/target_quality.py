@@ -259,11 +259,22 @@ class AestheticScore:
         Raises:
             InputError: a file is missing, or of another network.
         """
-        return cls(load_clip_embedding(clip, WIDTHS[0]), load_predictor(predictor))
+        check_clip(clip, WIDTHS[0])
+        network = ClipImages.read(clip)
+
+        def embedding(pictures: list[PilImage.Image]) -> Tensor:
+            pixels = network.processor(images=pictures, return_tensors="pt")["pixel_values"]
+            return network.embedding(pixels.float())
+
+        return cls(embedding, load_predictor(predictor))
 
     def __call__(self, candidate: TargetCandidate) -> Quality:
         """See the class."""
-        scores = self.scores(aesthetic_renders(candidate.gaussians))
+        renders = [
+            render(candidate.gaussians, Viewpoint(azimuth), AESTHETIC_PIXELS).before(0.0)
+            for azimuth in AZIMUTHS_DEG
+        ]
+        scores = self.scores([PilImage.fromarray(picture) for picture in renders])
         parts = {f"view_{int(a)}": s for a, s in zip(AZIMUTHS_DEG, scores, strict=True)}
         return Quality(round(sum(scores) / len(scores), 4), None, parts)
 
@@ -272,14 +283,6 @@ class AestheticScore:
         with torch.no_grad():
             unit = nn.functional.normalize(self._embedding(pictures).float(), dim=-1)
             return [round(float(score), 4) for score in self._network(unit)[:, 0]]
-
-
-def aesthetic_renders(gaussians: Gaussians) -> list[PilImage.Image]:
-    """The pictures that are scored."""
-    return [
-        PilImage.fromarray(render(gaussians, Viewpoint(azimuth), AESTHETIC_PIXELS).before(0.0))
-        for azimuth in AZIMUTHS_DEG
-    ]
 
 
 def load_predictor(path: Path) -> nn.Sequential:
@@ -339,22 +342,6 @@ def check_clip(folder: Path, width: int) -> None:
         problem = f"is {found}, the predictor needs {width}"
         mend = "give a folder with the files of openai/clip-vit-large-patch14"
         raise InputError(folder / "config.json", "projection_dim", problem, mend)
-
-
-def load_clip_embedding(folder: Path, width: int) -> Callable[[list[PilImage.Image]], Tensor]:
-    """From pictures to image embeddings (N, width), not normalised.
-
-    Raises:
-        InputError: see `check_clip` and `PretrainedFolder.read`.
-    """
-    check_clip(folder, width)
-    clip = ClipImages.read(folder)
-
-    def embedding(pictures: list[PilImage.Image]) -> Tensor:
-        pixels = clip.processor(images=pictures, return_tensors="pt")["pixel_values"]
-        return clip.embedding(pixels.float())
-
-    return embedding
 
 
 def file_hash(paths: Iterator[Path]) -> str:

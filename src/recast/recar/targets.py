@@ -22,6 +22,7 @@ from recast.core.progress import Progress, tell
 from recast.core.ray_cluster import worker_pool
 from recast.core.workers import in_this_process
 from recast.recar.screening import PASSED, ScreenedVehicle
+from recast.recar.statistics import summary_table
 from recast.recar.target_cache import CACHE_FILE, CacheRecord, TargetCache, TargetRecord
 from recast.recar.target_maker import (
     ModelSource,
@@ -268,12 +269,10 @@ def screened_targets(cache: TargetCache) -> Iterator[ScreenedVehicle]:
 def target_table(cache: TargetCache, statistics: TargetStatistics) -> Group:
     """The figures for a terminal."""
     record, score = cache.record, statistics.scores
-    title = Text(printable(record.vehicle_set))
-    summary = Table(title=title, title_justify="left", box=SIMPLE_HEAD, show_header=False)
     failed = sum(statistics.failures.values())
     accepted = sum(statistics.accepted.values())
     rows = [
-        ("model", f"{printable(record.model.name)} ({record.model.sha256[:12]})"),
+        ("model", f"{record.model.name} ({record.model.sha256[:12]})"),
         ("vehicles", f"{statistics.done:,} done, {failed:,} without a target"),
         (
             "accepted",
@@ -293,9 +292,7 @@ def target_table(cache: TargetCache, statistics: TargetStatistics) -> Group:
                 f"threshold {record.filter.threshold:g}",
             )
         )
-    for name, text in rows:
-        summary.add_row(name, Text(text))
-    parts: list[Table] = [summary]
+    parts = [summary_table(record.vehicle_set, rows)]
     if statistics.failures:
         reasons = Table(box=SIMPLE_HEAD)
         reasons.add_column("reason for the missing target")

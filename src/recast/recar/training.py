@@ -28,7 +28,6 @@ from recast.recar.training_conditions import (
     ConditionTokens,
     Perturb,
     SetConditions,
-    missing_pictures,
     open_conditions,
 )
 from recast.recar.training_config import (
@@ -100,7 +99,6 @@ class StageParts:
     """A request that was opened.
 
     Attributes:
-        model: all networks, in float32.
         train, held_out: vehicles with a target that is used.
         unscreened: number of vehicles in `train` that no person decided about; None where they
             are no pseudo-targets, since the pictures are those of training assets.
@@ -178,7 +176,8 @@ def open_stage(request: StageRequest, processes: Processes) -> StageParts:
 def _check_pictures(
     request: StageRequest, pictures: ConditionSource, train: Sequence[str], held_out: Sequence[str]
 ) -> None:
-    missing = missing_pictures(pictures, (*train, *held_out))
+    known = set(pictures.ids)
+    missing = [one for one in (*train, *held_out) if one not in known or pictures.count(one) == 0]
     if missing:
         problem = f"{len(missing)} vehicles with a target have no images: {_listed(missing)}"
         mend = "give the set that the targets were made from"
@@ -231,11 +230,9 @@ def _pictures_hash(folder: Path, left_out: Set[str]) -> str:
 
 def _with_names(digest: str, left_out: Set[str]) -> str:
     # Of the decisions only: notes may be written into screening.csv while a stage is in training.
-    return (
-        hashlib.sha256(" ".join([digest, *sorted(left_out)]).encode()).hexdigest()
-        if left_out
-        else digest
-    )
+    if not left_out:
+        return digest
+    return hashlib.sha256(" ".join([digest, *sorted(left_out)]).encode()).hexdigest()
 
 
 def _listed(names: Sequence[str]) -> str:
@@ -404,7 +401,13 @@ class _Stage:
         probe = None
         if self.processes.first and min(len(held_out), self.config.probe) >= 2:
             probe = ConditionGap(task, task.tokens, held_out[: self.config.probe])
-        sheets = self._sheets(name, task.tokens) if self.processes.first else None
+        sheets, shown = None, held_out[: self.config.sheet_vehicles]
+        if self.processes.first and self.config.sheet_every and shown:
+            stem, every = self.request.out / SHEETS / name, self.config.sheet_every
+            mean = self.config.weights == "average"
+            sheets = StageSheets(
+                self.model, self.parts.targets, shown, task.tokens, stem, every, mean
+            )
         with TrainingBar(name, settings.steps, self.console, self.writer) as display:
 
             def after_step(state: TrainingState) -> None:
@@ -464,22 +467,6 @@ class _Stage:
             alter,
             clean_share,
             encoder,
-        )
-
-    def _sheets(self, name: FlowName, tokens: ConditionTokens) -> StageSheets | None:
-        """What draws sheets after steps, where some are wanted."""
-        config = self.config
-        identities = self.parts.held_out[: config.sheet_vehicles]
-        if config.sheet_every == 0 or not identities:
-            return None
-        return StageSheets(
-            self.model,
-            self.parts.targets,
-            identities,
-            tokens,
-            self.request.out / SHEETS / name,
-            config.sheet_every,
-            config.weights == "average",
         )
 
     def _record(self, complete: bool) -> None:

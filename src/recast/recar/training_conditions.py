@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field, fields
 from functools import lru_cache
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 import torch
@@ -123,23 +123,6 @@ _ASSETS_KEPT = 1024  # whose crops are decoded at a time, half a megabyte each
 Perturb = Callable[[Image, np.random.Generator], Image]
 
 
-class ConditionSource(Protocol):
-    """Pictures by identity and number."""
-
-    @property
-    def ids(self) -> tuple[str, ...]:
-        """Identities with pictures, sorted."""
-        ...
-
-    def count(self, identity: str) -> int:
-        """Pictures of an identity."""
-        ...
-
-    def picture(self, identity: str, index: int) -> Image:
-        """(H, W, 4) uint8 RGBA with straight alpha."""
-        ...
-
-
 class SetConditions:
     """The views of a vehicle set.
 
@@ -184,7 +167,12 @@ class AssetConditions:
         self, paths: Iterable[Path], read: Callable[[Path], TrainingAsset] = read_asset
     ) -> None:
         self._paths = {path.stem: path for path in paths}
-        self._crops = lru_cache(maxsize=_ASSETS_KEPT)(lambda path: _crops(read(path)))
+        self._crops = lru_cache(maxsize=_ASSETS_KEPT)(self._read_crops)
+        self._read = read
+
+    def _read_crops(self, path: Path) -> NDArray[np.uint8]:
+        asset = self._read(path)
+        return asset.pictures[: asset.crops].copy()  # a view would keep all pictures
 
     @property
     def ids(self) -> tuple[str, ...]:
@@ -203,8 +191,7 @@ class AssetConditions:
         return crops[index]
 
 
-def _crops(asset: TrainingAsset) -> NDArray[np.uint8]:
-    return asset.pictures[: asset.crops].copy()  # a view would keep all pictures
+ConditionSource = SetConditions | AssetConditions
 
 
 def open_conditions(folder: Path) -> ConditionSource:
@@ -221,12 +208,6 @@ def open_conditions(folder: Path) -> ConditionSource:
         mend = "give a vehicle set, or a folder of training assets"
         raise InputError(folder, "pictures", problem, mend)
     return AssetConditions(paths)
-
-
-def missing_pictures(source: ConditionSource, identities: Iterable[str]) -> tuple[str, ...]:
-    """Of some identities those that a source has no picture of."""
-    known = set(source.ids)
-    return tuple(one for one in identities if one not in known or source.count(one) == 0)
 
 
 def draw_identities(

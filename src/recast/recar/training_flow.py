@@ -7,20 +7,18 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Protocol
 
 import cv2
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from torch import Tensor, nn
 
 from recast.arrays import Image
 from recast.core.errors import InputError
 from recast.core.files import write_bytes
-from recast.geometry import se3
 from recast.logs.images import encode
 from recast.recar.target_cache import Target, TargetCache
+from recast.recar.target_views import Viewpoint, render
 from recast.recar.training_conditions import (
     ConditionTokens,
     ConditionView,
@@ -29,8 +27,8 @@ from recast.recar.training_conditions import (
     draw_identities,
 )
 from recast.recar.training_config import FlowObjective
-from recast.recar.views import ELEVATION_DEG, FOV_DEG, camera_pose, pinhole, write_words
-from recast.splats import Gaussians, rasterize
+from recast.recar.views import write_words
+from recast.splats import Gaussians
 from recast.training.state import TrainingState
 from recast.training.task import StepLoss, StepRandom
 from recast.trellis import GenerationLimits, ImageTo3D, generate
@@ -57,23 +55,6 @@ class FlowData:
     x0: Tensor
     batch: Tensor | None
     velocity: Velocity
-
-
-class Flow(Protocol):
-    """One of the two flows."""
-
-    @property
-    def model(self) -> torch.nn.Module:
-        """What is trained."""
-        ...
-
-    def load(self, voxels: int) -> int:
-        """How much work a target of so many voxels is, in any unit."""
-        ...
-
-    def data(self, targets: Sequence[Target]) -> FlowData:
-        """A batch on the network's device."""
-        ...
 
 
 @dataclass(frozen=True)
@@ -133,6 +114,9 @@ class LatentFlow:
             return out.feats
 
         return FlowData(start.feats, start.batch, velocity)
+
+
+Flow = StructureFlow | LatentFlow
 
 
 @dataclass(frozen=True)
@@ -301,26 +285,11 @@ def sample_sheet(model: ImageTo3D, rows: Sequence[ProgressRow], seed: int) -> Im
 
 def _sides(gaussians: Gaussians, what: str) -> list[Image]:
     captions = [f"{name}: {what}" if i == 0 else name for i, (name, _) in enumerate(SIDES)]
-    return [
-        _captioned(render_side(gaussians, azimuth, _TILE), caption)
-        for caption, (_, azimuth) in zip(captions, SIDES, strict=True)
-    ]
-
-
-@torch.no_grad()
-def render_side(gaussians: Gaussians, azimuth_deg: float, pixels: int) -> NDArray[np.uint8]:
-    """A vehicle in the unit cube from 15 degrees above, before grey: (pixels, pixels, 3)."""
-    camera = pinhole(pixels, pixels, FOV_DEG)
-    pose = se3.inverse(camera_pose(azimuth_deg, ELEVATION_DEG, _DISTANCE))
-    picture = rasterize(
-        gaussians.to("cpu"),
-        torch.from_numpy(pose).float(),
-        torch.from_numpy(camera.matrix).float(),
-        pixels,
-        pixels,
-        background=torch.full((3,), _GREY),
-    )
-    return np.asarray((picture.rgb.clamp(0, 1).numpy() * 255).round(), np.uint8)
+    tiles = []
+    for caption, (_, azimuth) in zip(captions, SIDES, strict=True):
+        shown = render(gaussians.to("cpu"), Viewpoint(azimuth, distance=_DISTANCE), _TILE)
+        tiles.append(_captioned(shown.before(_GREY), caption))
+    return tiles
 
 
 def _captioned(tile: Image, caption: str) -> Image:
