@@ -103,8 +103,8 @@ class RefinementSettings:
     shift_m: float = 0.05
     """Shift from the prior that counts as 1, metres."""
     shift_weight: float = 0.2
-    """Weight of the pull of shifts. With a tenth of this and the next two, views from beside the drive
-    lose 0.1 dB."""
+    """Weight of the pull of shifts. With a tenth of this and the next two, views from beside the
+    drive lose 0.1 dB."""
     scale_weight: float = 0.05
     """Weight of the pull of log scales."""
     direction_weight: float = 0.2
