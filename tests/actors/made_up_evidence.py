@@ -6,8 +6,7 @@ import numpy as np
 import torch
 
 from actors import made_up
-from recast.actors.carve import FreeSpace
-from recast.actors.evidence import Evidence, Sighting
+from recast.actors.evidence import Evidence, FreeSpace, Sighting
 from recast.cameras import PinholeCamera
 from recast.geometry import se3
 from recast.logs import Trajectory

@@ -8,11 +8,10 @@ import pytest
 from actors import made_up
 from recast.actors import Asset, BoxLidarSegmenter, Observation
 from recast.actors.axes import VEHICLE
-from recast.actors.candidates import AutoGenerator, candidate_score, choose
 from recast.actors.evidence import Evidence
 from recast.actors.gather_evidence import gather_evidence
 from recast.actors.generate import candidates_of
-from recast.actors.register import register
+from recast.actors.register import AutoGenerator, candidate_score, choose, register
 from recast.core.errors import InputError
 from recast.logs import DrivingLog
 from recast.reconstruction import SceneConfig
@@ -80,7 +79,7 @@ def test_what_is_not_known_does_not_count(
 ) -> None:
     actor = register(asset_of(red_car), observation, street, street.tracks["7"])
     nothing = np.zeros((0, 3), np.float32)
-    from recast.actors.carve import FreeSpace
+    from recast.actors.evidence import FreeSpace
 
     blind = Evidence("7", "car", made_up.SIZE, (), nothing, FreeSpace(nothing))
     score = candidate_score(actor, blind)

@@ -10,6 +10,7 @@ from actors import made_up
 from recast.actors import Observation
 from recast.actors.template.body import TemplateBody
 from recast.actors.template.cloud import SurfaceCloud, build_cloud
+from recast.actors.template.generator import SurfaceView, view_surface
 from recast.actors.template.lighting import (
     Daylight,
     estimate_light,
@@ -18,9 +19,7 @@ from recast.actors.template.lighting import (
     road_level,
     shade,
 )
-from recast.actors.template.placement import TemplatePlacement
-from recast.actors.template.proportions import STYLES
-from recast.actors.template.texture import SurfaceView, view_surface
+from recast.actors.template.proportions import STYLES, TemplatePlacement
 from recast.geometry.colour import gamma_to_linear, linear_to_gamma
 
 PAINTS = {"white": 0.72, "silver": 0.42, "black": 0.012}

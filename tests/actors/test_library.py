@@ -18,7 +18,7 @@ from recast.actors import library as summaries
 from recast.actors.axes import VEHICLE
 from recast.actors.generate import candidates_of
 from recast.actors.library import LibraryGenerator, Summary, paint_apart, size_apart, summary_of
-from recast.actors.mesh import MeshGenerator
+from recast.actors.mesh_generator import MeshGenerator
 from recast.actors.vehicle_files import vehicle_generator
 from recast.core.errors import InputError
 from recast.runs.sources import generator_source

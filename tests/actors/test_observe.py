@@ -16,7 +16,7 @@ from recast.actors import (
     TemplateGenerator,
     observe,
 )
-from recast.actors.views import NearestSweeps, ViewPool, check_lidar, score_frame
+from recast.actors.observation import NearestSweeps, ViewPool, check_lidar, score_frame
 from recast.cameras import box_rectangle
 from recast.core.errors import InputError
 from recast.geometry import se3

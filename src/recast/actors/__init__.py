@@ -3,7 +3,6 @@
 from recast.actors.actor import Actor, Provenance, RegistrationReport
 from recast.actors.axes import AUTO, CONVENTIONS, AxisConvention, axes_of
 from recast.actors.drawing import turntable
-from recast.actors.export import export_actor
 from recast.actors.generate import (
     DEFAULT_GENERATOR,
     GENERATORS,
@@ -20,14 +19,13 @@ from recast.actors.grounded_segmenter import (
     segmenter_of,
 )
 from recast.actors.insert import insert
-from recast.actors.mesh import MeshGenerator
+from recast.actors.mesh_generator import MeshGenerator
 from recast.actors.observation import MaskQuality, Observation, ViewScore
 from recast.actors.observe import observe
 from recast.actors.register import register
 from recast.actors.segment import BoxLidarSegmenter, Segmentation, SegmentationTarget, Segmenter
-from recast.actors.splat_files import SplatGenerator
 from recast.actors.template import TemplateGenerator
-from recast.actors.vehicle_files import load_actor, save_actor
+from recast.actors.vehicle_files import SplatGenerator, export_actor, load_actor, save_actor
 from recast.scene.actor import orbit
 
 __all__ = [

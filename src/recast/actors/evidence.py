@@ -1,27 +1,209 @@
-"""What is known of one vehicle: single images, all of them with the LiDAR, and that on disk."""
+"""The space a vehicle fills: its visual hull in all masks, and cells that LiDAR rays crossed.
+
+Single masks err: a shadow, a neighbour, a window that shows the road behind. They err differently
+in every image, but the vehicle is one body. Its visual hull is carved from all masks at once, and
+each mask is believed where it agrees with the hull's outline.
+"""
 
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 import torch
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from pydantic import Field
+from scipy.spatial import cKDTree
 
 from recast.actors.actor import triple
-from recast.actors.carve import FreeSpace
+from recast.actors.observation import crossing
 from recast.arrays import Array, Float32Array
 from recast.cameras import PinholeCamera
 from recast.core.errors import InputError
 from recast.core.records import Record, parse_record
+from recast.geometry import se3
+from recast.logs import DrivingLog, Track
 from recast.logs.checks import WORLD_REACH, check_poses
 from recast.scene import StreetScene
 from recast.scene.poses import pose_at
 from recast.scene.store import read_tensors, write_tensors
+
+EDGE = 0.08
+"""Edge of a cell, metres."""
+_RAYS = 2  # that passed: one may have met its target at the wrong time
+_NEAR_HIT = 0.12  # metres around a hit that are not free: noise, and the pose of a moving vehicle
+_BEHIND = 0.5  # metres beyond the box at which a ray must end: it may have ended on the far side
+_GROWTH = 0.1  # metres by which the box is grown
+
+_CELLS = 60  # along the length
+_WIDER = 0.08  # share of the box by which the grid is larger
+_SOLID = 0.75  # share of the weight of the images that see a cell which must have it in their mask
+_DOUBT = 51 / 255  # trust in a pixel about which mask and hull differ
+LEAST_AGREEMENT = 0.5
+"""Overlap (IoU) of a mask and the hull's outline below which the image is left out."""
+
+
+@dataclass(frozen=True)
+class FreeSpace:
+    """Cells that are seen to be empty.
+
+    Attributes:
+        centres: (M, 3) float32, object frame, metres.
+        edge: edge length of a cell, metres.
+    """
+
+    centres: NDArray[np.float32]
+    edge: float = EDGE
+
+    def holds(self, points: ArrayLike) -> NDArray[np.bool_]:
+        """Which points (N, 3) lie in a free cell."""
+        points = np.asarray(points, np.float64)
+        if len(self.centres) == 0:
+            return np.zeros(len(points), bool)
+        near, _ = cKDTree(self.centres).query(points, p=np.inf)
+        return near <= self.edge / 2 + 1e-6
+
+
+def free_space(log: DrivingLog, track: Track, hits: ArrayLike) -> FreeSpace:
+    """Cells of a track's box through which at least two rays passed to what lies behind.
+
+    A ray that ends in the box, or less than half a metre beyond it, says nothing: it may have gone
+    through glass. So may one that passes two windows; cells near a hit are not free.
+
+    Args:
+        hits: (N, 3) LiDAR points on the vehicle, object frame.
+    """
+    hits = np.asarray(hits, np.float64)
+    half = np.asarray(track.size, np.float64) / 2 + _GROWTH
+    shape = np.ceil(2 * half / EDGE).astype(int)
+    passed = np.zeros(int(np.prod(shape)), np.int32)
+    for lidar in log.lidars.values():
+        for index, time in enumerate(lidar.timestamps_us.tolist()):
+            if not track.trajectory.covers(time):
+                continue
+            object_from_rig = se3.inverse(track.trajectory.at(time)) @ log.world_from_rig.at(time)
+            origin = se3.apply(object_from_rig, lidar.rig_from_lidar[:3, 3][None])[0]
+            ends = se3.apply(object_from_rig, _towards(lidar.sweeps[index].points, object_from_rig))
+            for cells in _crossed(origin, ends, half, shape):
+                passed[cells] += 1
+    free = np.flatnonzero(passed >= _RAYS)
+    centres = (np.stack(np.unravel_index(free, shape), -1) + 0.5) * EDGE - half
+    if len(hits) and len(centres):
+        distance, _ = cKDTree(hits).query(centres)
+        centres = centres[distance > _NEAR_HIT]
+    return FreeSpace(centres.astype(np.float32).reshape(-1, 3))
+
+
+def _towards(points: NDArray[np.float32], object_from_rig: Array) -> Array:
+    """Those points (N, 3) of a sweep, rig frame, that lie on the box's side of the rig."""
+    middle = se3.inverse(object_from_rig)[:3, 3]
+    distance = float(np.linalg.norm(middle))
+    cosine = points @ (middle / max(distance, 1e-9)) / np.linalg.norm(points, axis=1).clip(1e-9)
+    # half the diagonal of a long vehicle, seen from its distance
+    widest = np.cos(min(np.arctan2(8.0, distance) + 0.05, np.pi / 2))
+    return np.asarray(points[cosine > widest], np.float64)
+
+
+def _crossed(origin: Array, ends: Array, half: Array, shape: Array) -> list[NDArray[np.int64]]:
+    """Cells that each ray passes which ends beyond the box, (C,) flat indices a ray."""
+    step = ends - origin
+    length = np.linalg.norm(step, axis=1)
+    enter, leave = crossing(origin, step, -half, half)
+    through = (enter < leave) & (enter > 0) & (leave < 1 - _BEHIND / length.clip(1e-9))
+    found = []
+    for a, b, way, metres in zip(
+        enter[through], leave[through], step[through], length[through], strict=True
+    ):
+        count = int((b - a) * metres / (0.5 * EDGE)) + 1
+        points = origin + np.linspace(a, b, count)[:, None] * way
+        cells = np.floor((points + half) / EDGE).astype(np.int64).clip(0, shape - 1)
+        found.append(np.unique(np.ravel_multi_index(tuple(cells.T), tuple(shape))))
+    return found
+
+
+@dataclass(frozen=True)
+class VisualHull:
+    """Cells that the masks agree on.
+
+    Attributes:
+        centres: (M, 3) centres of the solid cells, object frame, metres.
+        edge: edge length of a cell, metres.
+    """
+
+    centres: Array
+    edge: float
+
+    def outline(self, sighting: Sighting) -> Float32Array:
+        """Its silhouette (H, W) in [0, 1] in an image."""
+        height, width = sighting.mask.shape
+        drawn = np.zeros((height, width), np.uint8)
+        points = se3.apply(sighting.camera_from_object, self.centres)
+        points = points[points[:, 2] > 0.1]
+        if len(points):
+            pixels, depth = sighting.camera.project(points)
+            # Squares as wide as a cell seen along its diagonal leave no gaps between them.
+            side = max(round(float(1.2 * self.edge * sighting.camera.fx / np.median(depth))), 1)
+            u, v = np.floor(pixels).astype(int).T
+            inside = (u >= 0) & (u < width) & (v >= 0) & (v < height)
+            drawn[v[inside], u[inside]] = 1
+            drawn = np.asarray(cv2.dilate(drawn, np.ones((side, side), np.uint8)), np.uint8)
+        return drawn.astype(np.float32)
+
+
+def carve(sightings: Sequence[Sighting], size: Array) -> VisualHull:
+    """The cells of the box that most of the images which see them have in their masks."""
+    half = size / 2 * (1 + _WIDER)
+    edge = float(2 * half[0] / _CELLS)
+    axes = [np.arange(-h + edge / 2, h, edge) for h in half]
+    centres = np.stack(np.meshgrid(*axes, indexing="ij"), -1).reshape(-1, 3)
+    total, inside = np.zeros(len(centres)), np.zeros(len(centres))
+    for sighting in sightings:
+        height, width = sighting.mask.shape
+        points = se3.apply(sighting.camera_from_object, centres)
+        pixels, depth = sighting.camera.project(points)
+        u, v = np.floor(pixels).astype(int).T
+        seen = (u >= 0) & (u < width) & (v >= 0) & (v < height) & (depth > 0.1)
+        weight = sighting.weight * sighting.trust[v[seen], u[seen]]
+        total[seen] += weight
+        inside[seen] += weight * sighting.mask[v[seen], u[seen]]
+    solid = (total > 0) & (inside > _SOLID * total)
+    return VisualHull(centres[solid], edge)
+
+
+def settle_masks(
+    sightings: Sequence[Sighting], size: Array
+) -> tuple[list[Sighting], list[Sighting]]:
+    """The sightings with their trust lowered where mask and visual hull differ.
+
+    Args:
+        size: (3,) size of the box, metres.
+
+    Returns:
+        Sightings that agree with the others, and sightings that do not: their masks overlap with
+        the hull's outline by less than half.
+    """
+    hull = carve(sightings, size)
+    kept, refused = [], []
+    for sighting in sightings:
+        outline = hull.outline(sighting)
+        mask = sighting.mask > 0.5
+        seen = sighting.trust > 0
+        union = float(((outline > 0) | mask)[seen].sum())
+        both = float(((outline > 0) & mask)[seen].sum())
+        agreement = both / union if union else 0.0
+        if agreement < LEAST_AGREEMENT:
+            refused.append(sighting)
+            continue
+        differs = (outline > 0.5) != mask
+        trust = sighting.trust * np.where(differs, np.float32(_DOUBT), np.float32(1))
+        kept.append(replace(sighting, trust=trust.astype(np.float32)))
+    return kept, refused
+
 
 EVIDENCE_VERSION = 1
 _MEND = "make the actor again"

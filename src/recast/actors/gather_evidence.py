@@ -8,9 +8,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from recast.actors.carve import free_space, settle_masks
-from recast.actors.evidence import Evidence, Sighting
+from recast.actors.evidence import Evidence, Sighting, free_space, settle_masks
 from recast.actors.icp import thinned
+from recast.actors.observation import NearestSweeps, ViewScore, check_lidar, score_frame
 from recast.actors.observe import points_beside, track_of
 from recast.actors.segment import (
     SegmentationTarget,
@@ -19,7 +19,6 @@ from recast.actors.segment import (
     mask_rectangle,
     run_segmenter,
 )
-from recast.actors.views import NearestSweeps, ViewScore, check_lidar, score_frame
 from recast.arrays import Array
 from recast.cameras import PinholeCamera, box_outline, box_rectangle
 from recast.core.progress import Progress

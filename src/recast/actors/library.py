@@ -22,16 +22,15 @@ from recast.actors.axes import AUTO, lengthwise_yaw
 from recast.actors.drawing import agree, draw_beside
 from recast.actors.generate import Asset, BaseGenerator
 from recast.actors.icp import extent, fit_of
-from recast.actors.mesh import read_triangles
-from recast.actors.mesh.generator import sampled
+from recast.actors.mesh_generator import read_triangles, sampled
 from recast.actors.observation import Observation
 from recast.actors.observe import MIN_LIDAR_POINTS
 from recast.actors.place import box_misfit, stand_on_box, stood_up
 from recast.actors.register import aligned
-from recast.actors.splat_files import holds_gaussians
 from recast.actors.vehicle_files import (
     VEHICLE_FILE,
     VEHICLE_SUFFIXES,
+    holds_gaussians,
     is_actor_folder,
     is_vehicle_file,
     vehicle_generator,

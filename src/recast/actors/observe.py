@@ -9,7 +9,14 @@ import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from recast.actors.observation import Observation, ViewScore
+from recast.actors.observation import (
+    NearestSweeps,
+    Observation,
+    Usable,
+    ViewPool,
+    ViewScore,
+    crossing,
+)
 from recast.actors.segment import (
     SegmentationTarget,
     Segmenter,
@@ -17,7 +24,6 @@ from recast.actors.segment import (
     mask_rectangle,
     run_segmenter,
 )
-from recast.actors.views import NearestSweeps, Usable, ViewPool, crossing
 from recast.arrays import Array
 from recast.cameras import PinholeCamera, box_rectangle
 from recast.cameras.pinhole import distort

@@ -1,11 +1,9 @@
-"""Vehicles in files: actors' folders, and files of Gaussians or meshes in place of a generator.
-
-The folder of an actor holds actor.json, a PLY file, tensors and the source image.
-"""
+"""Vehicles in files of Gaussians, in the place of a generator."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable
+from dataclasses import asdict
 from pathlib import Path
 
 import numpy as np
@@ -14,22 +12,115 @@ from numpy.typing import NDArray
 from safetensors.torch import save
 
 from recast.actors.actor import Actor, Provenance, triple
-from recast.actors.axes import AUTO, VEHICLE
+from recast.actors.axes import AUTO, VEHICLE, AxisConvention, axes_of, upright
 from recast.actors.coverage import Shares
 from recast.actors.generate import ActorGenerator, Asset, BaseGenerator
-from recast.actors.mesh import MESH_SUFFIXES, MeshGenerator, files_of_mesh
+from recast.actors.icp import outer_surface
+from recast.actors.mesh_generator import MESH_SUFFIXES, MeshGenerator, files_of_mesh
 from recast.actors.observation import Observation
-from recast.actors.splat_files import SplatGenerator, holds_gaussians
 from recast.core import files
 from recast.core.arguments import checked
 from recast.core.errors import InputError
+from recast.core.files import atomic_folder, write_json
 from recast.core.images import decode_image
 from recast.core.plugins import GENERATORS
 from recast.core.records import Record, read_record
 from recast.core.torch_file import read_safetensors
 from recast.logs import Trajectory
 from recast.logs.images import encode
-from recast.splats import Gaussians, LowPass, read_ply, write_ply
+from recast.scene.export import CONVENTIONS
+from recast.splats import CLASSIC, MIP, Gaussians, LowPass, read_ply, write_ply
+from recast.splats.formats import (
+    GLTF,
+    format_named,
+    format_of,
+    has_gaussians,
+    splat_suffixes,
+    write_gaussians,
+)
+
+# Of the published decoder of TRELLIS, in unit cubes (rounded up by what float32 and text lose).
+_PER_VOXEL, _LARGEST_SPREAD, _LEAST_DEVIATION = 32, 1.5 / 64 + 1e-5, 9e-4
+
+
+def holds_gaussians(path: Path) -> bool:
+    """Whether a vehicle file holds Gaussians, not a mesh; of a GLB its content tells.
+
+    Raises:
+        InputError: a GLB cannot be opened.
+    """
+    suffix = path.suffix.lower()
+    return has_gaussians(path) if suffix == GLTF.suffix else suffix in splat_suffixes()
+
+
+class SplatGenerator(BaseGenerator):
+    """Takes the Gaussians of a PLY, glTF, SPZ or OpenUSD file whatever the observation shows.
+
+    Args:
+        path: the file.
+        axes: its axis convention, as such or as text, see `axes.axes_of`, of the axes that the file
+            itself has (OpenUSD: with z up); "auto" tells which axis points up from the shape and
+            the observed box, see `recast.actors.axes.upright`.
+        low_pass: the filter that it was made for. None takes what the file declares
+            (`recast.splats.formats`); if it declares none, that of TRELLIS for what its published
+            decoder made (`made_by_trellis`), else that of 3DGS.
+
+    Raises:
+        InputError: no such convention, or no such format.
+    """
+
+    def __init__(
+        self, path: str | Path, axes: str | AxisConvention = AUTO, low_pass: LowPass | None = None
+    ) -> None:
+        self.path, self.low_pass = Path(path), low_pass
+        self.format = format_of(path)
+        self.name: str = self.format.name
+        self.axes = axes_of(axes) if isinstance(axes, str) and axes != AUTO else axes
+
+    def generate(self, observation: Observation, seed: int) -> Asset:
+        """Read the file.
+
+        Raises:
+            InputError: the file is missing, lacks a field, or holds a value that is not finite;
+                with "auto", no orientation fits the box, or the shape does not tell it.
+        """
+        gaussians = self.format.read(self.path)
+        if len(gaussians) == 0:
+            raise InputError(self.path, "vertex", "holds no Gaussians", "export the asset again")
+        details: dict[str, str | float | int] = {"file": self.path.name}
+        if isinstance(self.axes, AxisConvention):
+            axes = self.axes
+        else:
+            try:
+                points = outer_surface(gaussians).points
+            except ValueError as error:
+                mend = "export the asset again"
+                raise InputError(self.path, "shape", str(error), mend) from None
+            found = upright(points, observation.size, self.path)
+            axes, details["axes"] = found.axes, f"inferred from the shape: {found.explain()}"
+        low_pass = self.low_pass or self.format.low_pass(self.path)
+        if low_pass is None:
+            low_pass = MIP if made_by_trellis(gaussians) else CLASSIC
+        return Asset(gaussians, axes, self.name, seed, details, low_pass)
+
+
+def made_by_trellis(gaussians: Gaussians) -> bool:
+    """Whether these are, row by row, what the published decoder of TRELLIS gives.
+
+    32 Gaussians for each voxel of 1/64, within three quarters of a voxel of its centre; no
+    harmonics; no deviation below 9e-4.
+    """
+    if gaussians.sh_degree > 0 or len(gaussians) == 0 or len(gaussians) % _PER_VOXEL:
+        return False
+    voxels = gaussians.means.reshape(-1, _PER_VOXEL, 3)
+    spread = float((voxels.amax(dim=1) - voxels.amin(dim=1)).max())
+    least = float(gaussians.log_scales.min())
+    return spread <= _LARGEST_SPREAD and least >= np.log(_LEAST_DEVIATION) - 1e-4
+
+
+# Vehicles in files: actors' folders, and files of Gaussians or meshes in place of a generator.
+#
+# The folder of an actor holds actor.json, a PLY file, tensors and the source image.
 
 ACTOR_VERSION = 2
 ACTOR_FILE = "actor.json"
@@ -226,3 +317,43 @@ class ActorFolderGenerator(BaseGenerator):
         actor = load_actor(self.path)
         details = {"file": self.path.name, "made_by": actor.provenance.generator}
         return Asset(actor.gaussians, VEHICLE, self.name, seed, details, actor.low_pass)
+
+
+EXPORT_VERSION = 1
+EXPORT_FORMAT = "recast-actor-export"
+RECORD_FILE, EXPORTED_VEHICLE, SHADOW = "actor.json", "vehicle", "shadow"
+_CONVENTIONS = ("units", "actor", "low_pass")
+
+
+def export_actor(actor: Actor, folder: str | Path, splat_format: str = "ply") -> None:
+    """Write the vehicle, the shadow if there is one, and actor.json with size and conventions.
+
+    Args:
+        splat_format: see `recast.scene.export_scene`. The vehicle's file can be read again as a
+            generator: `vehicle_generator(folder / "vehicle.glb")`.
+
+    Raises:
+        InputError: `folder` exists, or the disk is full.
+    """
+    suffix = format_named(splat_format).suffix
+    parts: dict[str, tuple[Gaussians, LowPass | None]] = {
+        EXPORTED_VEHICLE: (actor.gaussians, actor.low_pass)
+    }
+    if len(actor.shadow):
+        parts[SHADOW] = (actor.shadow, None)
+    conventions = {name: CONVENTIONS[name] for name in _CONVENTIONS}
+    record = {
+        "format": EXPORT_FORMAT,
+        "version": EXPORT_VERSION,
+        "track_id": actor.track_id,
+        "category": actor.category,
+        "size": actor.size.tolist(),
+        "low_pass": asdict(actor.low_pass),
+        "splat_format": splat_format,
+        **{name: f"{name}{suffix}" for name in parts},
+        "conventions": conventions | {"gaussians": format_named(splat_format).contents},
+    }
+    with atomic_folder(folder) as partial:
+        for name, (gaussians, low_pass) in parts.items():
+            write_gaussians(partial / f"{name}{suffix}", gaussians, low_pass)
+        write_json(partial / RECORD_FILE, record)

@@ -43,8 +43,8 @@ from ncore.data.v4 import (
     SequenceComponentGroupsReader,
     SequenceComponentGroupsWriter,
 )
-from ncore.impl.common.transformations import HalfClosedInterval
-from numcodecs import blosc
+from ncore.impl.common.transformations import HalfClosedInterval  # which has no public name
+from numcodecs import blosc  # type: ignore[import-untyped]
 from PIL import Image as PillowImage
 from scipy.spatial.transform import Rotation
 from upath import UPath

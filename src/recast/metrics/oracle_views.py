@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from PIL import Image as PilImage
 
 from recast.actors.coverage import CoverageMeter, Shares
-from recast.actors.views import score_frame
+from recast.actors.observation import score_frame
 from recast.arrays import Array, Image
 from recast.cameras import CameraMount, PinholeCamera
 from recast.core.errors import InputError

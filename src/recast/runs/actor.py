@@ -30,13 +30,13 @@ from recast.actors import (
     save_actor,
     segmenter_of,
 )
-from recast.actors.candidates import choose
 from recast.actors.evidence import load_evidence, save_evidence
 from recast.actors.gather_evidence import gather_evidence
 from recast.actors.generate import candidates_of
 from recast.actors.insert import require_model
+from recast.actors.observation import Usable
 from recast.actors.refine import refine
-from recast.actors.views import Usable
+from recast.actors.register import choose
 from recast.core import files
 from recast.core.errors import InputError
 from recast.core.progress import Progress, ProgressBar

@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 
 from actors import made_up
-from recast.actors.carve import free_space
+from recast.actors.evidence import free_space
 from recast.logs import DrivingLog, LidarStream, LidarSweep, Track, Trajectory
 
 CENTRE = np.array([10.0, 0.0, made_up.SIZE[2] / 2])

@@ -5,7 +5,7 @@ import dataclasses
 import numpy as np
 
 from actors import made_up, made_up_evidence
-from recast.actors.carve import settle_masks
+from recast.actors.evidence import settle_masks
 from recast.splats import Gaussians
 
 AZIMUTHS = np.linspace(0, 2 * np.pi, 9)[:-1]

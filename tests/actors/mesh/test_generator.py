@@ -9,12 +9,11 @@ import numpy as np
 import pytest
 import torch
 
-import recast.actors.mesh.generator as making
+import recast.actors.mesh_generator as making
 from actors.mesh.made import CAR, HALVES, SQUARE, Glb, box, car
 from recast.actors import MeshGenerator, Observation, register
-from recast.actors.mesh.generator import surfels
-from recast.actors.mesh.sample import Outside, outside, sample
-from recast.actors.mesh.triangles import Glow, MeshMaterial, Triangles
+from recast.actors.mesh_generator import Outside, outside, sample, surfels
+from recast.actors.mesh_gltf import Glow, MeshMaterial, Triangles
 from recast.actors.template.lighting import CLEAR_DAY
 from recast.core.errors import InputError
 from recast.geometry.colour import linear_to_gamma

@@ -24,7 +24,7 @@ from actors.mesh.made import (
     picture,
     textured_square,
 )
-from recast.actors.mesh.gltf import files_of_glb, read_glb
+from recast.actors.mesh_gltf import files_of_glb, read_glb
 from recast.core.errors import InputError
 
 RED = np.full((4, 4, 3), [200, 10, 10], np.uint8)

@@ -10,7 +10,7 @@ import pytest
 import trimesh
 
 from actors.mesh.made import box, picture
-from recast.actors.mesh.obj import files_of_obj, read_obj
+from recast.actors.mesh_obj import files_of_obj, read_obj
 from recast.core.errors import InputError
 from recast.geometry.colour import srgb_to_linear
 

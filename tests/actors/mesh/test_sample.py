@@ -10,9 +10,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from actors.mesh.made import HALVES, SQUARE, SQUARE_UV, box
-from recast.actors.mesh import sample as sampling
-from recast.actors.mesh.sample import sample
-from recast.actors.mesh.triangles import Glow, MeshMaterial, Triangles, Wrap
+from recast.actors import mesh_generator as sampling
+from recast.actors.mesh_generator import sample
+from recast.actors.mesh_gltf import Glow, MeshMaterial, Triangles, Wrap
 from recast.geometry import se3
 
 WHITE = MeshMaterial(np.ones(4))

@@ -29,8 +29,7 @@ from recast.actors import (
     register,
     save_actor,
 )
-from recast.actors.mesh import files_of_mesh, read_triangles
-from recast.actors.mesh.generator import sampled
+from recast.actors.mesh_generator import files_of_mesh, read_triangles, sampled
 from recast.core.files import write_json
 from recast.geometry import se3
 from recast.logs import DrivingLog

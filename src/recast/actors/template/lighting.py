@@ -26,7 +26,7 @@ from recast.splats.sh import C0, C1
 
 if TYPE_CHECKING:
     from recast.actors.template.cloud import SurfaceCloud
-    from recast.actors.template.texture import SurfaceView
+    from recast.actors.template.generator import SurfaceView
 
 
 _F0 = 0.04  # reflectance of clear coat and glass at normal incidence

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, NonNegativeInt
 
-from recast.actors.views import score_frame
+from recast.actors.observation import score_frame
 from recast.arrays import Array
 from recast.cameras import PinholeCamera
 from recast.core.errors import InputError

@@ -24,7 +24,7 @@ import numpy as np
 import shapely
 from numpy.typing import NDArray
 
-from recast.actors.mesh.triangles import (
+from recast.actors.mesh_gltf import (
     MOST_TEXTURES,
     REPEATED,
     Array,
