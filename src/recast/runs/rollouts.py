@@ -38,8 +38,8 @@ from recast.simulation import (
     run_rollout,
     save_rollout,
 )
-from recast.simulation.actors import other_poses
 from recast.simulation.coverage import Meter, RolloutCoverage, rollout_coverage
+from recast.simulation.history import other_poses
 from recast.simulation.restoring import RestoringRenderer
 from recast.simulation.rollout_files import load_coverage, save_coverage
 
