@@ -137,7 +137,9 @@ def test_importer(log: DrivingLog) -> None:
 
 
 def test_planner_motion_renderer_and_metric(log: DrivingLog) -> None:
-    sim = recast.Simulator(log, Grey(log), {"0": Standing()}, steps=10)
+    sim = recast.Simulator(
+        log, Grey(log), {"0": Standing()}, settings=recast.RolloutSettings(steps=10)
+    )
     planner = recast.make_planner(Coasting())
     planner.reset(sim.context)
     observation = sim.reset()

@@ -42,7 +42,9 @@ def names(tiny_log_folder: Path, tmp_path_factory: pytest.TempPathFactory) -> di
     log = recast.load_log(folder / "log")
     scene = recast.reconstruct(log, iterations=20, scale=0.5)
     planner = recast.make_planner("idm-follower")
-    sim = recast.Simulator(log, scene, {"0": "advancing"}, steps=10, scale=0.5)
+    sim = recast.Simulator(
+        log, scene, {"0": "advancing"}, settings=recast.RolloutSettings(steps=10), scale=0.5
+    )
     planner.reset(sim.context)
     observation = sim.reset()
     while not sim.done:
@@ -94,7 +96,11 @@ def test_the_way_from_a_log_to_a_report(names: dict[str, Any], tmp_path: Path) -
     assert [path.name for path in store.glob("[0-9a-f]*")] == [scene.origin.parent.name]
     actor = recast.make_actor(log, "0", generator=f"{names['folder']}/car.ply", axes="x,z")
     sim = recast.Simulator(
-        log, scene.with_actor(actor), actors={"0": recast.motion("advancing")}, steps=10, scale=0.5
+        log,
+        scene.with_actor(actor),
+        actors={"0": recast.motion("advancing")},
+        settings=recast.RolloutSettings(steps=10),
+        scale=0.5,
     )
     planner = recast.make_planner("constant-velocity")
     observation = sim.reset()
@@ -164,7 +170,12 @@ WRONG: dict[str, tuple[Callable[[dict[str, Any]], object], str]] = {
     "make_planner": (lambda n: recast.make_planner(None), "planner: is None; give"),
     "motion": (lambda n: recast.motion(3), "motion"),
     "actors": (lambda n: recast.Simulator(n["log"], actors=["0"]), "actors: is an object of type"),
-    "steps": (lambda n: recast.Simulator(n["log"], actors={0: "cut-in"}, steps="9"), "an integer"),
+    "steps": (
+        lambda n: recast.Simulator(
+            n["log"], actors={0: "cut-in"}, settings=recast.RolloutSettings(steps="9")
+        ),
+        "an integer",
+    ),
     "sim's log": (lambda n: recast.Simulator(None), "Simulator: log: is None; give a DrivingLog"),
     "written": (lambda n: recast.write_log(None, "x"), "write_log: log: is None; give"),
 }
@@ -182,7 +193,9 @@ def test_paths_and_numbers_stand_for_what_they_name(names: dict[str, Any]) -> No
     folder = names["folder"] / "log"
     scene = recast.reconstruct(str(folder), iterations=20, scale=0.5)  # type: ignore[arg-type]
     assert scene.origin == names["scene"].origin
-    recast.Simulator(folder, scene.origin, {0: "advancing"}, steps=1)  # type: ignore[arg-type,dict-item]
+    recast.Simulator(
+        folder, scene.origin, {0: "advancing"}, settings=recast.RolloutSettings(steps=1)
+    )  # type: ignore[arg-type,dict-item]
     car = names["folder"] / "car.ply"
     assert recast.make_actor(folder, 0, generator=car, axes="x,z").track_id == "0"  # type: ignore[arg-type]
     assert recast.score(names["rollout"], folder).values["nc"].value == 1.0  # type: ignore[arg-type]

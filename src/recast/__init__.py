@@ -43,6 +43,7 @@ if TYPE_CHECKING:
     from recast.runs.arms import Arm as Arm
     from recast.scene import StreetScene as StreetScene
     from recast.simulation import Rollout as Rollout
+    from recast.simulation import RolloutSettings as RolloutSettings
     from recast.simulation import Simulator as Simulator
     from recast.simulation import motion as motion
 
@@ -66,7 +67,7 @@ _PLACES = {
     ),
     "recast.planning": ("Plan", "Planner", "PlannerInput", "make_planner"),
     "recast.scene": ("StreetScene",),
-    "recast.simulation": ("Rollout", "Simulator", "motion"),
+    "recast.simulation": ("Rollout", "RolloutSettings", "Simulator", "motion"),
 }
 _of_modules = getattr_of(__name__, _PLACES)
 

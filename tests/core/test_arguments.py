@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, Protocol, TypedDict, Unpack
+from typing import TYPE_CHECKING, Any, Literal, Protocol
 
 import numpy as np
 import pytest
 
-from recast.core.arguments import checked
+from recast.core.arguments import check_fields, checked
 from recast.core.errors import InputError
 
 if TYPE_CHECKING:
@@ -28,10 +28,21 @@ class Painter(Protocol):
     """A protocol, which is not checked."""
 
 
-class Settings(TypedDict, total=False):
-    """Further settings."""
+@dataclass(frozen=True)
+class Base:
+    """Settings whose members are checked."""
 
-    steps: int
+    steps: int = 3
+
+    def __post_init__(self) -> None:
+        check_fields(self)
+
+
+@dataclass(frozen=True)
+class Derived(Base):
+    """Settings with a further member."""
+
+    names: Sequence[str] = ()
 
 
 @checked({Box: lambda path: Box(str(path))})
@@ -49,10 +60,9 @@ def pack(
     call: Callable[[], None] | None = None,
     share: Fraction | None = None,
     painter: Painter | None = None,
-    **settings: Unpack[Settings],
 ) -> dict[str, Any]:
     """All arguments by name."""
-    return {**locals(), **settings}
+    return locals()
 
 
 @pytest.mark.parametrize(
@@ -69,7 +79,6 @@ def pack(
         ("scale", 1, 1.0),
         ("motions", {0: "cut-in"}, {"0": ("cut-in",)}),
         ("painter", 3, 3),
-        ("steps", np.int64(4), 4),
     ],
 )
 def test_what_has_one_reading_is_converted(name: str, value: Any, right: Any) -> None:
@@ -99,7 +108,6 @@ def test_what_has_one_reading_is_converted(name: str, value: Any, right: Any) ->
         ("call", 3, "call: is 3; give a function or None"),
         ("share", 3, "share: is 3; give a Fraction or None"),
         ("trakc", "0", "trakc: is not an argument; did you mean track?"),
-        ("steps", "4", "steps: is '4'; give an integer"),
     ],
 )
 def test_what_does_not_fit_is_one_line(name: str, value: Any, line: str) -> None:
@@ -108,3 +116,10 @@ def test_what_does_not_fit_is_one_line(name: str, value: Any, line: str) -> None
             checked()(lambda track: track)(**{name: value})
         pack(**{"box": Box(), name: value})  # type: ignore[arg-type]
     assert str(refused.value).partition(": ")[2] == line
+
+
+def test_members_of_settings_are_checked_as_arguments_are() -> None:
+    made = Derived(np.int64(4), names="one")  # type: ignore[arg-type]
+    assert made == Derived(4, ("one",)) and type(made.steps) is int
+    with pytest.raises(InputError, match=r"^Derived: steps: is '4'; give an integer$"):
+        Derived("4")  # type: ignore[arg-type]

@@ -22,7 +22,15 @@ from recast.geometry import se2
 from recast.logs import write_log
 from recast.logs.hdmap import HdMap
 from recast.planning import ConstantVelocity
-from recast.simulation import MOTIONS, Idm, NullRenderer, RolloutSetup, run_rollout
+from recast.simulation import (
+    MOTIONS,
+    Idm,
+    NullRenderer,
+    PerfectController,
+    RolloutSettings,
+    RolloutSetup,
+    run_rollout,
+)
 from support.synthetic_drives import drive
 
 ACTORS = {"7": "cut-in-a"}
@@ -32,8 +40,9 @@ MOUNTS = {
 }
 
 
-def env_of(**settings) -> DrivingEnv:
-    return DrivingEnv(drive(), **{"actors": ACTORS, "steps": 20, **settings})
+def env_of(steps: int = 20, **arguments) -> DrivingEnv:
+    settings = RolloutSettings(steps=steps)
+    return DrivingEnv(drive(), **{"actors": ACTORS, "settings": settings, **arguments})
 
 
 def straight(speed: float) -> np.ndarray:
@@ -57,7 +66,7 @@ def test_gymnasium_s_own_check(action: str, cameras: bool) -> None:
         scene=scene,
         actors={"7": "cut-in-a", "9": "log-replay"},
         action=action,
-        steps=20,
+        settings=RolloutSettings(steps=20),
         render_mode="rgb_array" if cameras else None,
     )
     with warnings.catch_warnings():
@@ -69,7 +78,9 @@ def test_gymnasium_s_own_check(action: str, cameras: bool) -> None:
 
 
 def test_the_id_is_found_by_its_package() -> None:
-    env = gymnasium.make(f"recast.envs:{ENV_ID}", log=drive(), actors=ACTORS, steps=10)
+    env = gymnasium.make(
+        f"recast.envs:{ENV_ID}", log=drive(), actors=ACTORS, settings=RolloutSettings(steps=10)
+    )
     assert isinstance(env.unwrapped, DrivingEnv)
 
 
@@ -90,7 +101,12 @@ def test_an_agent_drives_as_a_planner_does() -> None:
 def test_what_the_agent_sees_is_in_its_own_frame() -> None:
     for pose in ((0.0, 0.0, 0.0), (200.0, -50.0, 2.2)):
         log = drive(curvature=0.015, world_from_start=pose)
-        env = DrivingEnv(log, actors={"7": "cut-in-a"}, most_actors=4, keep_other_actors=True)
+        env = DrivingEnv(
+            log,
+            actors={"7": "cut-in-a"},
+            most_actors=4,
+            settings=RolloutSettings(keep_other_actors=True),
+        )
         env.reset(seed=0)
         seen, *_ = env.step(straight(8.0))
         assert seen in env.observation_space
@@ -149,7 +165,8 @@ def test_a_collision_terminates_if_asked_for() -> None:
 
 def test_leaving_the_road_terminates_if_there_is_a_map() -> None:
     area = np.array([[-20.0, -3.0], [300.0, -3.0], [300.0, 6.0], [-20.0, 6.0]])
-    env = env_of(map=HdMap({}, (area,)), action="controls", steps=100)
+    settings = RolloutSettings(map=HdMap({}, (area,)), steps=100)
+    env = env_of(settings=settings, action="controls")
     env.reset(seed=0)
     for _ in range(20):
         _, _, terminated, _, info = env.step(np.array([0.0, -0.05], np.float32))
@@ -272,7 +289,10 @@ def test_a_bad_action_is_one_line_and_moves_nothing(
         ({"most_actors": 0}, "most_actors: is 0; give 1 to 1000"),
         ({"render_mode": "human"}, "render_mode: is 'human'"),
         ({"render_mode": "rgb_array"}, "render_mode: needs cameras; give a scene"),
-        ({"action": "controls", "controller": 3}, "controller: is 3; leave it out"),
+        (
+            {"action": "controls", "settings": RolloutSettings(controller=PerfectController())},
+            "controller: is PerfectController.*; leave it out",
+        ),
         ({"actors": {}}, "actors: is empty"),
         ({"log": "no/such/log"}, "no/such/log"),
         ({"scene": "no/such/scene"}, "no/such/scene"),
@@ -297,7 +317,13 @@ def test_four_of_them_in_processes_of_their_own(tmp_path: Path) -> None:
     names = ("cut-in-a", "advancing-a", "stationary-a", "oncoming-a")
     envs = AsyncVectorEnv(
         [
-            partial(DrivingEnv, str(tmp_path / "log"), actors={"7": name}, steps=30, terminate=())
+            partial(
+                DrivingEnv,
+                str(tmp_path / "log"),
+                actors={"7": name},
+                settings=RolloutSettings(steps=30),
+                terminate=(),
+            )
             for name in names
         ],
         context="spawn",
@@ -329,7 +355,9 @@ def test_without_gymnasium_the_line_says_what_to_install() -> None:
 
 
 def test_the_default_action_passes_gymnasium_s_check_and_frames_follow_the_steps() -> None:
-    env = DrivingEnv(drive(), actors={"7": "cut-in-a"}, steps=10, plan_every=2)
+    env = DrivingEnv(
+        drive(), actors={"7": "cut-in-a"}, settings=RolloutSettings(steps=10, plan_every=2)
+    )
     assert env.metadata["render_fps"] == pytest.approx(5.0)
     env.reset(seed=0)
     over, info = False, {}

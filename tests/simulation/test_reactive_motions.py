@@ -27,7 +27,8 @@ from recast.simulation import (
 )
 from recast.simulation import LoggedMotion as Replay
 from recast.simulation.actor_motion import BaseScript
-from recast.simulation.actors import ControlledActors
+from recast.simulation.actors import ReactiveActors
+from recast.simulation.history import History
 from recast.simulation.rollout_start import start_rollout
 from support.synthetic_drives import drive
 
@@ -361,8 +362,9 @@ def test_reacting_actors_project_the_road_users_once_each(monkeypatch: pytest.Mo
         log = with_track(log, f"c{number}", line((20.0 + 12.0 * number, 3.5, 0.0), 5.0))
     others = {f"c{number}": Idm("a") for number in range(1, 8)}
     setup = RolloutSetup(log, "c0", Idm("a"), steps=10, actors=others)
-    actors = ControlledActors(setup, start_rollout(setup))
+    start = start_rollout(setup)
+    actors = ReactiveActors(setup, start, History(setup, start))
     monkeypatch.setattr(ReferenceRoute, "project", counted)
-    actors.advance(start_rollout(setup).first)
+    actors.step()
     own = [one for one in calls if np.shape(one[0])[-2:] == (9, 2)]
     assert len(own) == 8 and np.shape(own[0][0]) == (9, 9, 2)

@@ -27,7 +27,7 @@ MOUNTS = {
     "virtual": replace(PLAIN, seen=SEEN),
     "window": replace(PLAIN, window=(8, 2, 40, 30)),
 }
-STATE: SimState = Simulator.from_setup(RolloutSetup(make_log(), MOVING, MOTIONS["cut-in-a"])).state
+STATE: SimState = Simulator(RolloutSetup(make_log(), MOVING, MOTIONS["cut-in-a"])).state
 
 
 class Grey(MountedRenderer):

@@ -366,7 +366,7 @@ def test_a_plan_that_takes_too_long_fails_the_rollout(monkeypatch: pytest.Monkey
     with pytest.raises(
         ValueError, match=r"^planner slow: took 2.5 s .* step 10, but the limit is 0.5 s"
     ):
-        calls, simulator = PlannerCalls(Slow()), Simulator.from_setup(setup)
+        calls, simulator = PlannerCalls(Slow()), Simulator(setup)
         calls.reset(simulator.context)
         while not simulator.done:
             simulator.step(calls.timed_plan(simulator.observe(), 0.5)[0])

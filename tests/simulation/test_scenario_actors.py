@@ -14,6 +14,7 @@ from recast.simulation import (
     CutIn,
     Idm,
     LoggedMotion,
+    RolloutSettings,
     RolloutSetup,
     Scenario,
     ScenarioActor,
@@ -116,7 +117,7 @@ def test_it_stands_wherever_a_motion_does(tmp_path: Path) -> None:
     assert (rollout.motion, rollout.setting) == ("boxed-in", "a")
     assert [actor.track_id for actor in rollout.controlled] == ["5", "un/usual id"]
     assert rollout.reactive == ("5",)
-    sim = Simulator(log, actors={"7": path}, steps=10)
+    sim = Simulator(log, actors={"7": path}, settings=RolloutSettings(steps=10))
     assert len(sim.reset().actors) == 3
     with pytest.raises(InputError, match="track 9 is given the scenario boxed-in, which has sev"):
         Simulator(log, actors={"7": "cut-in", "9": first})

@@ -22,6 +22,7 @@ from recast.simulation import (
     ControlledActor,
     Idm,
     Rollout,
+    RolloutSettings,
     RolloutSetup,
     Simulator,
     load_rollout,
@@ -273,7 +274,9 @@ def test_bad_actors_are_one_line(
 
 def test_a_simulator_takes_them_in_order() -> None:
     sim = Simulator(
-        busy(), actors={"7": "cut-in", **ACTORS}, start_timestamp_us=6_200_000, steps=10
+        busy(),
+        actors={"7": "cut-in", **ACTORS},
+        settings=RolloutSettings(start_timestamp_us=6_200_000, steps=10),
     )
     assert [actor.track_id for actor in sim.reset().actors] == ["7", *ACTORS]
     assert sim.setup.track_id == "7"

@@ -51,7 +51,7 @@ def assert_same(first: Rollout, second: Rollout) -> None:
 def test_plans_of_one_array_are_recorded_as_they_were() -> None:
     rollout = run_rollout(SETUP, OneArray())
     assert rollout.predictions[:, 0, 0] == pytest.approx([0.5, 0.55, 0.6, 0.65])
-    sim, planner = Simulator.from_setup(SETUP), OneArray()
+    sim, planner = Simulator(SETUP), OneArray()
     sim.reset()
     while not sim.done:
         sim.step(planner.plan(sim.observe()))
@@ -147,7 +147,7 @@ def test_random_numbers_are_of_the_rollout() -> None:
 
 
 def test_the_seed_of_a_simulator_reaches_the_planner() -> None:
-    sim = Simulator.from_setup(replace(SETUP, seed=3))
+    sim = Simulator(replace(SETUP, seed=3))
     assert sim.context.seed == 3
     sim.reset(5)
     assert sim.context.seed == 5

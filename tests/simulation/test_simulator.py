@@ -28,9 +28,11 @@ from recast.simulation import (
     Ending,
     LqrController,
     NullRenderer,
+    RolloutSettings,
     RolloutSetup,
     Simulator,
     StartSituation,
+    make_setup,
     motion,
     prepare,
     run_rollout,
@@ -42,7 +44,8 @@ MOUNTS = {"front": CameraMount(PinholeCamera(8, 4, 5.0, 5.0, 4.0, 2.0), np.eye(4
 
 
 def simulator(log: DrivingLog | None = None, name: str = "cut-in-a", **settings) -> Simulator:
-    return Simulator(log or drive(), actors={"7": name}, **{"steps": 20, **settings})
+    made = RolloutSettings(**{"steps": 20, **settings})
+    return Simulator(log or drive(), actors={"7": name}, settings=made)
 
 
 def straight(speed: float = 8.0) -> Plan:
@@ -67,7 +70,7 @@ def reference_loop(setup: RolloutSetup, planner: Planner) -> tuple[NDArray, list
             prepared.route, setup.log.world_from_rig, vehicle=setup.vehicle, dt=setup.dt
         )
     )
-    sim = Simulator.from_setup(setup)
+    sim = Simulator(setup)
     states, plans = [prepared.ego], []
     while len(states) <= prepared.steps:
         step = len(states) - 1
@@ -94,7 +97,7 @@ def reference_loop(setup: RolloutSetup, planner: Planner) -> tuple[NDArray, list
 def test_the_simulator_the_loop_and_a_plain_loop_agree(name: str) -> None:
     setup = RolloutSetup(drive(curvature=0.004), "7", MOTIONS[name], steps=43)
     states, plans = reference_loop(setup, IdmLaneFollower())
-    sim = Simulator.from_setup(setup)
+    sim = Simulator(setup)
     drive_through(sim, IdmLaneFollower())
     for rollout in (sim.rollout, run_rollout(setup, IdmLaneFollower())):
         assert rollout.ego.tobytes() == states.tobytes()
@@ -104,7 +107,12 @@ def test_the_simulator_the_loop_and_a_plain_loop_agree(name: str) -> None:
 
 
 def test_the_loop_of_the_page(scene: StreetScene) -> None:  # noqa: F811
-    sim = Simulator(log_with_camera(), scene, actors={"7": motion("stationary")}, steps=10)
+    sim = Simulator(
+        log_with_camera(),
+        scene,
+        actors={"7": motion("stationary")},
+        settings=RolloutSettings(steps=10),
+    )
     planner = ConstantVelocity()
     planner.reset(sim.context)
     observation = sim.reset()
@@ -113,7 +121,9 @@ def test_the_loop_of_the_page(scene: StreetScene) -> None:  # noqa: F811
         observation = sim.step(planner.plan(observation))
     assert observation.step == sim.rollout.steps_run == 10
     assert sim.rollout.planner == "external"
-    small = Simulator(log_with_camera(), scene, {"7": "stationary"}, scale=0.5, steps=10)
+    small = Simulator(
+        log_with_camera(), scene, {"7": "stationary"}, scale=0.5, settings=RolloutSettings(steps=10)
+    )
     assert small.reset().images["front"].shape == (24, 32, 3)
 
 
@@ -251,17 +261,51 @@ def test_a_plan_that_no_vehicle_can_drive_is_one_line() -> None:
         ({"actors": {"7": "cut-in", "8": "idm"}}, "track 8: is not in the log"),
         ({"scene": 3}, "Simulator: scene: is a int; give a StreetScene"),
         ({"cameras": ["front"]}, "Simulator: cameras: are given without a scene"),
-        ({"steps": 0}, "RolloutSetup: steps: is 0; give 1 to"),
-        ({"dt": 3.0}, "RolloutSetup: dt: is 3.0 s"),
-        ({"plan_limit_s": 3.0}, "Simulator: plan_limit_s: is not a setting; choose one of"),
+        ({"settings": 3}, "Simulator: settings: is 3; give a RolloutSettings or None"),
+        ({"steps": 3}, "Simulator: steps: is not an argument"),
+        ({"log": RolloutSetup(drive(), "7", MOTIONS["cut-in-a"])}, "actors: are given beside a"),
         ({"scene": NullRenderer(MOUNTS), "cameras": ["rear"]}, "camera rear: is needed but"),
     ],
 )
 def test_bad_arguments_are_one_line(arguments: dict[str, object], message: str) -> None:
-    given = {"actors": {"7": "cut-in-a"}, **arguments}
+    given = {"log": drive(), "actors": {"7": "cut-in-a"}, **arguments}
     with pytest.raises(InputError, match=message) as error:
-        Simulator(drive(), **given)  # type: ignore[arg-type]
+        Simulator(**given)  # type: ignore[arg-type]
     assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize(
+    ("settings", "message"),
+    [
+        ({"steps": 0}, "RolloutSettings: steps: is 0; give 1 to"),
+        ({"steps": "9"}, "RolloutSettings: steps: is '9'; give an integer"),
+        ({"dt": 3.0}, "RolloutSettings: dt: is 3.0 s"),
+        ({"road_margin": -1}, "RolloutSettings: road_margin: is -1.0 m"),
+        ({"controller": object()}, "builtins.object: execute: is missing"),
+        ({"map": drive()}, "RolloutSettings: map: is an object of type DrivingLog; give a HdMap"),
+    ],
+)
+def test_bad_settings_are_one_line(settings: dict[str, object], message: str) -> None:
+    with pytest.raises(InputError, match=message) as error:
+        RolloutSettings(**settings)  # type: ignore[arg-type]
+    assert "\n" not in str(error.value)
+
+
+def test_a_setup_and_a_log_with_settings_are_the_same() -> None:
+    settings = RolloutSettings(steps=30, dt=0.05, seed=4, camera_names=("front",))
+    made = make_setup(log := drive(), settings, {"7": "cut-in", "9": "idm"})
+    assert made == RolloutSetup(
+        log,
+        "7",
+        MOTIONS["cut-in-a"],
+        actors={"9": MOTIONS["idm-a"]},
+        steps=30,
+        dt=0.05,
+        seed=4,
+        camera_names=("front",),
+    )
+    sim = Simulator(log, NullRenderer(MOUNTS), {"7": "cut-in"}, settings)
+    assert set(sim.context.cameras) == {"front"} and sim.context.seed == 4
 
 
 def test_a_scale_that_is_no_size(scene: StreetScene) -> None:  # noqa: F811
@@ -271,9 +315,17 @@ def test_a_scale_that_is_no_size(scene: StreetScene) -> None:  # noqa: F811
 
 def test_a_renderer_may_be_given_and_only_named_cameras_are_rendered() -> None:
     mounts = {**MOUNTS, "left": MOUNTS["front"]}
-    both = Simulator(drive(), NullRenderer(mounts), {"7": "cut-in"}, steps=10)
+    both = Simulator(
+        drive(), NullRenderer(mounts), {"7": "cut-in"}, settings=RolloutSettings(steps=10)
+    )
     assert set(both.reset().images) == set(both.context.cameras) == {"front", "left"}
-    one = Simulator(drive(), NullRenderer(mounts), {"7": "cut-in"}, cameras=["left"], steps=10)
+    one = Simulator(
+        drive(),
+        NullRenderer(mounts),
+        {"7": "cut-in"},
+        cameras=["left"],
+        settings=RolloutSettings(steps=10),
+    )
     assert set(one.reset().images) == {"left"}
     with pytest.raises(ValueError, match="give the simulator a scene"):
         simulator().render(["front"])

@@ -17,7 +17,6 @@ from typing import (
     ParamSpec,
     TypeVar,
     Union,
-    Unpack,
     get_args,
     get_origin,
     get_type_hints,
@@ -63,15 +62,25 @@ def checked(
                 hint = _hints(function).get(name, Any)
                 if signature.parameters[name].kind is not inspect.Parameter.VAR_KEYWORD:
                     bound.arguments[name] = _converted(where, name, value, hint, known)
-                elif get_origin(hint) is Unpack:
-                    members = _hints(get_args(hint)[0])
-                    for key in value.keys() & members.keys():
-                        value[key] = _converted(where, key, value[key], members[key], known)
             return function(*bound.args, **bound.kwargs)
 
         return call
 
     return decorate
+
+
+def check_fields(settings: object) -> None:
+    """Refuse members of a dataclass that their annotations do not allow; see `checked`.
+
+    Call it in `__post_init__`; members are converted in place.
+
+    Raises:
+        InputError: names class, member and value.
+    """
+    kind: Any = type(settings)
+    for name in kind.__dataclass_fields__:
+        value = _converted(kind.__name__, name, getattr(settings, name), _hints(kind)[name], {})
+        object.__setattr__(settings, name, value)
 
 
 class _Names(dict[str, Any]):
@@ -83,7 +92,7 @@ class _Names(dict[str, Any]):
 
 @cache
 def _hints(of: Any) -> dict[str, Any]:
-    """The resolved annotations of a function or a TypedDict, when they are first asked for."""
+    """The resolved annotations of a function or a class, when they are first asked for."""
     names = {**vars(builtins), **vars(sys.modules[of.__module__])}
     return get_type_hints(of, localns=_Names(names))
 

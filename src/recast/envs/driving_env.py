@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Unpack
+from typing import TYPE_CHECKING, Any
 
 import gymnasium
 import numpy as np
@@ -63,13 +64,13 @@ class DrivingEnv(gymnasium.Env[dict[str, Any], NDArray[np.float32]]):
         log: a log, or its folder.
         scene: scene as for `Simulator`, or the folder of a scene.
         actors: controlled actors by track id, with motions or their names; the first is the target.
+        settings: how the rollouts are run, as for `Simulator`.
         action: "waypoints" (40, 3), or "controls": acceleration and steering rate (2,).
         cameras, scale, device: the same as for `Simulator`.
         reward: function that gives a number for what happened; None for `ProgressReward()`.
         terminate: which of "collision" and "off_road" end the episode.
         most_actors: number of rows of `actors` in the observation; further road users are left out.
         render_mode: "rgb_array" for `render`, which needs a scene, or None.
-        settings: settings of the rollout, as for `Simulator`.
 
     Raises:
         InputError: bad arguments, see `Simulator`.
@@ -82,6 +83,7 @@ class DrivingEnv(gymnasium.Env[dict[str, Any], NDArray[np.float32]]):
         log: DrivingLog | str | Path,
         scene: StreetScene | SensorRenderer | str | Path | None = None,
         actors: Mapping[str, str | Path | AnyMotion | Scenario] | None = None,
+        settings: RolloutSettings | None = None,
         *,
         action: ActionKind = "waypoints",
         cameras: Sequence[str] | None = None,
@@ -91,15 +93,15 @@ class DrivingEnv(gymnasium.Env[dict[str, Any], NDArray[np.float32]]):
         terminate: Collection[str] = TERMINATIONS,
         most_actors: int = 16,
         render_mode: str | None = None,
-        **settings: Unpack[RolloutSettings],
     ) -> None:
+        settings = settings or RolloutSettings()
         _check(action, terminate, most_actors, render_mode, settings)
         self._log = load_log(log) if isinstance(log, str | Path) else log
         self._renderer = as_renderer(self._log, _scene(scene), cameras, scale, device)
-        self._actors, self._cameras, self._settings = dict(actors or {}), cameras, settings
         self._kind, self._controls = action, HeldControls()
         if action == "controls":
-            settings["controller"] = self._controls
+            settings = replace(settings, controller=self._controls)
+        self._actors, self._cameras, self._settings = dict(actors or {}), cameras, settings
         self._reward = whole(reward or ProgressReward(), BaseReward)
         self._terminate = frozenset(terminate)
         self._most_actors, self.render_mode = most_actors, render_mode
@@ -204,10 +206,9 @@ class DrivingEnv(gymnasium.Env[dict[str, Any], NDArray[np.float32]]):
         actors = dict(options.get("actors", self._actors))
         if "scenario" in options and actors:
             actors[next(iter(actors))] = options["scenario"]
-        settings: RolloutSettings = {**self._settings}
-        if "start_timestamp_us" in options:
-            settings["start_timestamp_us"] = options["start_timestamp_us"]
-        return Simulator(self._log, self._renderer, actors, cameras=self._cameras, **settings)
+        start = options.get("start_timestamp_us", self._settings.start_timestamp_us)
+        settings = replace(self._settings, start_timestamp_us=start)
+        return Simulator(self._log, self._renderer, actors, settings, cameras=self._cameras)
 
     def _plan(self, action: NDArray[np.float64]) -> Plan:
         if self._kind == "waypoints":
@@ -259,8 +260,8 @@ def _check(
 
     if action not in KINDS:
         refuse("action", action, f"choose one of {', '.join(KINDS)}")
-    if action == "controls" and "controller" in settings:
-        refuse("controller", settings["controller"], "leave it out with action='controls'")
+    if action == "controls" and settings.controller != RolloutSettings().controller:
+        refuse("controller", settings.controller, "leave it out with action='controls'")
     if isinstance(terminate, str) or not set(terminate) <= set(TERMINATIONS):
         refuse("terminate", terminate, f"give a list of names from {', '.join(TERMINATIONS)}")
     if not 1 <= most_actors <= 1000:

@@ -50,8 +50,8 @@ from recast.simulation import (
     run_rollout,
     save_rollout,
 )
-from recast.simulation.actors import other_poses
 from recast.simulation.coverage import Meter, RolloutCoverage, rollout_coverage
+from recast.simulation.history import other_poses
 from recast.simulation.restoring import RestoringRenderer, make_restorer
 from recast.simulation.rollout_files import load_coverage, save_coverage
 from recast.simulation.scene_renderer import SceneRenderer, through_lenses

@@ -49,7 +49,6 @@ from recast.simulation.rollout import (
 )
 from recast.simulation.rollout_files import load_rollout, save_rollout
 from recast.simulation.running import (
-    OnFrame,
     error_fields,
     failure,
     probe_path,
@@ -67,8 +66,8 @@ from recast.simulation.scenario import (
 )
 from recast.simulation.scenario_file import motion_of_record, read_scenario, scenario_record
 from recast.simulation.scenario_names import MOTIONS, motion, parse_motions, scenario_name
-from recast.simulation.setup import RolloutSettings, RolloutSetup
-from recast.simulation.simulator import Observation, Simulator, Timings
+from recast.simulation.setup import RolloutSettings, RolloutSetup, make_setup
+from recast.simulation.simulator import Observation, OnFrame, Simulator, Timings
 from recast.simulation.state import ControlledActor, RolloutOrigin, SimActor, SimState
 
 __all__ = [
@@ -126,6 +125,7 @@ __all__ = [
     "failure",
     "further_actors",
     "load_rollout",
+    "make_setup",
     "motion",
     "motion_of_record",
     "parse_motions",

@@ -1,24 +1,22 @@
-"""Actors of a rollout: what they will do, controlled ones step by step, logged ones that stay."""
+"""Controlled actors that react: moved step by step; and what all actors do without a planner."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from recast.arrays import Array
 from recast.core.foreign import read_only
-from recast.dynamics import EgoState, ground_velocities
+from recast.dynamics import EgoState
 from recast.dynamics import state as ego
-from recast.geometry import se2
-from recast.logs.motion import logged_velocity
 from recast.planning import ActorState, ReferenceRoute
 from recast.simulation.actor_motion import MotionInput, RoadUsers
-from recast.simulation.recorded_road import SMOOTHING, RoadSurface, refuse_if_too_short, who
+from recast.simulation.history import History
+from recast.simulation.recorded_road import RoadSurface, refuse_if_too_short, who
 from recast.simulation.rollout import ego_centre
-from recast.simulation.rollout_start import RolloutStart, StartingActor, start_rollout
+from recast.simulation.rollout_start import RolloutStart, start_rollout
 from recast.simulation.setup import RolloutSetup
 from recast.simulation.start_checks import checked_state
 
@@ -28,116 +26,55 @@ _EGO_HEIGHT = 1.7
 """Metres: nothing depends on it, since road users are compared from above."""
 
 
-class ControlledActors:
-    """States and poses of all controlled actors up to now; those that react grow step by step.
+class ReactiveActors:
+    """Moves the controlled actors that react, one step at a time.
 
     Args:
         setup: setup of the rollout.
         start: start from `start_rollout`.
+        history: history of the rollout, in which each finds its own states.
     """
 
-    def __init__(self, setup: RolloutSetup, start: RolloutStart) -> None:
-        self._setup, self._start = setup, start
-        self._actors = {actor.track.track_id: actor for actor in start.actors}
-        self._states = {k: list(a.states) for k, a in self._actors.items()}
-        self._poses = {k: list(a.world_from_actor) for k, a in self._actors.items()}
+    def __init__(self, setup: RolloutSetup, start: RolloutStart, history: History) -> None:
+        self._setup, self._history = setup, history
+        self._actors = tuple(actor for actor in start.actors if actor.reacts)
 
-        self._travelled = dict.fromkeys(self._actors, 0.0)
-
-    @property
-    def reactive(self) -> tuple[str, ...]:
-        """Track ids of those that react."""
-        return tuple(key for key, actor in self._actors.items() if actor.reacts)
-
-    def state(self, track_id: str, step: int) -> Array:
-        """x, y, heading of the box centre, speed (4,) at a step that was reached."""
-        return self._states[track_id][step]
-
-    def pose(self, track_id: str, step: int) -> Array:
-        """`world_from_actor` (4, 4) at a step that was reached."""
-        return self._poses[track_id][step]
-
-    def states(self, track_id: str, steps: int) -> Array:
-        """States (steps + 1, 4) from the start on."""
-        return np.array(self._states[track_id][: steps + 1])
-
-    def poses(self, track_id: str, steps: int) -> Array:
-        """`world_from_actor` (steps + 1, 4, 4) from the start on."""
-        return np.array(self._poses[track_id][: steps + 1])
-
-    def seen(self, step: int) -> tuple[ActorState, ...]:
-        """All road users but the ego at a step: controlled ones, the target first, then logged."""
-        timestamp = self._start.start_timestamp_us + step * round(self._setup.dt * 1e6)
-        controlled = (self._as_road_user(track_id, step) for track_id in self._actors)
-        return (*controlled, *other_actors(self._setup, timestamp))
-
-    def advance(self, ego_state: ArrayLike) -> str | None:
-        """Move those that react by one step.
-
-        Args:
-            ego_state: (11,) state of the ego before the step.
-
-        Returns:
-            Why the rollout ends here, in words, if one of them would leave the recorded road; none
-            of them is moved then.
+    def step(self) -> tuple[dict[str, Array], str | None]:
+        """States (4,) after the next step by track id, and why the rollout ends here, if it does:
+        one of them would leave the recorded road.
 
         Raises:
             InputError: a motion returned no state; names the motion, the step and the value.
             Exception: whatever a motion raises.
         """
-        if not self.reactive:
-            return None
-        step = len(self._states[self.reactive[0]]) - 1
-        ego_user, users = road_user(ego_state, self._setup), self.seen(step)
-        everyone = RoadUsers((ego_user, *users))
         moved: dict[str, Array] = {}
-        for track_id in self.reactive:
-            actor, states = self._actors[track_id], self._states[track_id]
+        if not self._actors:
+            return moved, None
+        history, step = self._history, self._history.step
+        ego_user, users = _road_user(history.ego[-1], self._setup), history.road_users()
+        everyone = RoadUsers((ego_user, *users))
+        for actor in self._actors:
+            track_id = actor.track.track_id
             now = MotionInput(
                 situation=actor.situation,
                 step=step,
                 steps=self._setup.steps,
-                state=states[-1].copy(),
+                state=history.actor_now(track_id),
                 ego=ego_user,
                 others=tuple(user for user in users if user.track_id != track_id),
                 everyone=everyone,
-                travelled=self._travelled[track_id],
+                travelled=history.travelled(track_id),
             )
-            moved[track_id] = self._moved(actor, now)
-            if actor.road.outside(moved[track_id][:2]):
-                return actor.road.reason(who(self._setup, track_id), moved[track_id][:2])
-        self._append(moved)
-        return None
-
-    def _moved(self, actor: StartingActor, now: MotionInput) -> Array:
-        with actor.code.call(f"step {now.step}"):
-            value = actor.motion.step(read_only(now), self._setup.dt)
-        return checked_state(actor.motion, value, now.step + 1, self._setup.log.name)
-
-    def _append(self, moved: Mapping[str, Array]) -> None:
-        for track_id, state in moved.items():
-            states = self._states[track_id]
-            self._travelled[track_id] += float(np.linalg.norm(state[:2] - states[-1][:2]))
-            states.append(state)
-            # Heights are averaged over the past alone: the future is not known yet.
-            recent = np.array(states[-2 * SMOOTHING - 1 :])[:, :3]
-            size = self._actors[track_id].track.size
-            self._poses[track_id].append(self._start.surface.actor_poses(recent, size)[-1])
-
-    def _as_road_user(self, track_id: str, step: int) -> ActorState:
-        first = max(step - 1, 0)
-        around = np.array(self._states[track_id][first : step + 2])
-        track = self._actors[track_id].track
-        return ActorState(
-            track_id=track_id,
-            category=track.category,
-            pose=around[step - first, :3],
-            velocity=ground_velocities(around)[step - first],
-            size=track.size,
-        )
+            with actor.code.call(f"step {step}"):
+                value = actor.motion.step(read_only(now), self._setup.dt)
+            state = checked_state(actor.motion, value, step + 1, self._setup.log.name)
+            if actor.road.outside(state[:2]):
+                return moved, actor.road.reason(who(self._setup, track_id), state[:2])
+            moved[track_id] = state
+        return moved, None
 
 
-def road_user(ego_state: ArrayLike, setup: RolloutSetup) -> ActorState:
+def _road_user(ego_state: ArrayLike, setup: RolloutSetup) -> ActorState:
     """The ego (11,) as other road users see it: box and velocity in the world."""
     state, vehicle = EgoState(ego_state), setup.vehicle
     cos, sin = np.cos(state.heading), np.sin(state.heading)
@@ -149,31 +86,6 @@ def road_user(ego_state: ArrayLike, setup: RolloutSetup) -> ActorState:
         velocity=np.array([along * cos - across * sin, along * sin + across * cos]),
         size=np.array([vehicle.length, vehicle.width, _EGO_HEIGHT]),
     )
-
-
-def other_ids(setup: RolloutSetup) -> tuple[str, ...]:
-    """Ids of the logged tracks that stay; none by default."""
-    if not setup.keep_other_actors:
-        return ()
-    controlled = setup.controlled
-    return tuple(key for key in setup.log.tracks if key not in controlled)
-
-
-def other_poses(setup: RolloutSetup, timestamp_us: int) -> dict[str, Array]:
-    """Their logged `world_from_actor` (4, 4) at a time, of those labelled then."""
-    trajectories = {key: setup.log.tracks[key].trajectory for key in other_ids(setup)}
-    return {k: t.at(timestamp_us) for k, t in trajectories.items() if t.covers(timestamp_us)}
-
-
-def other_actors(setup: RolloutSetup, timestamp_us: int) -> list[ActorState]:
-    """What a planner sees of them; velocities are differences over one step to each side."""
-    step = round(setup.dt * 1e6)
-    actors = []
-    for key, pose in other_poses(setup, timestamp_us).items():
-        track = setup.log.tracks[key]
-        velocity = logged_velocity(track.trajectory, timestamp_us, step)
-        actors.append(ActorState(key, track.category, se2.from_se3(pose), velocity, track.size))
-    return actors
 
 
 @dataclass(frozen=True)
@@ -233,12 +145,16 @@ def prepare(setup: RolloutSetup) -> PreparedRollout:
             leaves the recorded road within two plan cycles, or its motion returns no state.
     """
     start = start_rollout(setup)
-    steps, reason, actors = start.steps, start.cut_reason, ControlledActors(setup, start)
-    if actors.reactive:
-        steps, reason = _react(actors, start)
+    # Also where the simulated ego starts beside the recorded one.
+    history = History(setup, replace(start, first=start.ego[0]))
+    steps, reason = start.steps, start.cut_reason
+    if any(actor.reacts for actor in start.actors):
+        steps, reason = _react(setup, start, history)
         refuse_if_too_short(setup, steps, reason)
     target, *further = (
-        PreparedActor(track_id, actors.states(track_id, steps), actors.poses(track_id, steps))
+        PreparedActor(
+            track_id, history.actor_states(track_id, steps), history.actor_poses(track_id, steps)
+        )
         for track_id in setup.controlled
     )
     return PreparedRollout(
@@ -254,10 +170,12 @@ def prepare(setup: RolloutSetup) -> PreparedRollout:
     )
 
 
-def _react(actors: ControlledActors, start: RolloutStart) -> tuple[int, str | None]:
+def _react(setup: RolloutSetup, start: RolloutStart, history: History) -> tuple[int, str | None]:
     """Let the actors react to the ego as recorded; steps and the reason why there are not more."""
+    actors = ReactiveActors(setup, start, history)
     for step in range(start.steps):
-        reason = actors.advance(start.ego[step])
+        moved, reason = actors.step()
         if reason is not None:
             return step, reason
+        history.append(start.ego[step + 1], 0.0, moved)
     return start.steps, start.cut_reason

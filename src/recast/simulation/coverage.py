@@ -13,7 +13,7 @@ from recast.actors.coverage import LEAST_PIXELS, Coverage
 from recast.arrays import Array
 from recast.cameras import CameraMount, PinholeCamera
 from recast.geometry import se3
-from recast.simulation.actors import other_poses
+from recast.simulation.history import other_poses
 from recast.simulation.rollout import Rollout
 from recast.simulation.setup import RolloutSetup
 

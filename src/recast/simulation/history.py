@@ -1,144 +1,251 @@
-"""What a simulator has done: the world at a step, the ego's past, and all of it as a `Rollout`."""
+"""What was simulated up to now: all states and plans, the world at a step, and the `Rollout`."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
 
 from recast.arrays import Array
 from recast.core.foreign import read_only
-from recast.dynamics import EgoState, initial_state
+from recast.dynamics import EgoState, ground_velocities, initial_state
 from recast.dynamics import state as ego
-from recast.planning import WAYPOINTS
-from recast.simulation.actors import ControlledActors, other_ids, other_poses
+from recast.geometry import se2
+from recast.logs.motion import logged_velocity
+from recast.planning import WAYPOINTS, ActorState
+from recast.simulation.recorded_road import SMOOTHING
 from recast.simulation.renderer import SensorRenderer
 from recast.simulation.rollout import Rollout
 from recast.simulation.rollout_start import RolloutStart
 from recast.simulation.setup import RolloutSetup
 from recast.simulation.state import ControlledActor, RolloutOrigin, SimActor, SimState
 
-_HISTORY = 2.0
+_SHOWN = 2.0
 """Seconds of past states that a planner is shown."""
 
 
-def timestamp_us(setup: RolloutSetup, start: RolloutStart, step: int) -> int:
-    """Log time of a step."""
-    return start.start_timestamp_us + step * round(setup.dt * 1e6)
+class History:
+    """The recorded past of a rollout: states of the ego and the controlled actors, and plans.
 
-
-def sim_state(
-    setup: RolloutSetup, start: RolloutStart, actors: ControlledActors, now: Array, step: int
-) -> SimState:
-    """The world at a step.
+    Scripted actors have their states of all steps from the start on; those of the ego and of
+    actors that react grow step by step.
 
     Args:
-        now: (11,) state of the ego at that step.
+        setup: setup of the rollout.
+        start: start from `start_rollout`.
+
+    Attributes:
+        ego: states (11,) of the ego, the first one at step 0.
+        route_s: coordinates of the ego on the route, metres, each looked for near the last.
+        plans: step and waypoints (40, 3) of each plan that was executed.
     """
-    time = timestamp_us(setup, start, step)
-    controlled = {}
-    for track_id in setup.controlled:
-        logged = setup.track_of(track_id).trajectory
-        controlled[track_id] = SimActor(
-            state=actors.state(track_id, step),
-            world_from_actor=actors.pose(track_id, step),
-            log_world_from_actor=logged.at(time) if logged.covers(time) else None,
+
+    def __init__(self, setup: RolloutSetup, start: RolloutStart) -> None:
+        self._setup, self._start = setup, start
+        self._actors = {actor.track.track_id: actor for actor in start.actors}
+        self._states = {key: list(actor.states) for key, actor in self._actors.items()}
+        self._poses = {key: list(actor.world_from_actor) for key, actor in self._actors.items()}
+        self._travelled = dict.fromkeys(self._actors, 0.0)
+        self._logged = self._logged_past()
+        self.ego: list[Array] = [start.first]
+        near = start.route.at_time(start.start_timestamp_us)
+        self.route_s = [float(start.route.project(start.first, near)[0])]
+        self.plans: list[tuple[int, Array]] = []
+
+    @property
+    def step(self) -> int:
+        """Steps executed up to now."""
+        return len(self.ego) - 1
+
+    def timestamp_us(self, step: int) -> int:
+        """Log time of a step."""
+        return self._start.start_timestamp_us + step * round(self._setup.dt * 1e6)
+
+    def append(self, ego_state: Array, route_s: float, moved: Mapping[str, Array]) -> None:
+        """Record one step.
+
+        Args:
+            ego_state: (11,) new state of the ego.
+            route_s: its coordinate on the route.
+            moved: new states (4,) of the actors that react, by track id.
+        """
+        self.ego.append(ego_state)
+        self.route_s.append(route_s)
+        for track_id, state in moved.items():
+            states = self._states[track_id]
+            self._travelled[track_id] += float(np.linalg.norm(state[:2] - states[-1][:2]))
+            states.append(state)
+            # Heights are averaged over the past alone: the future is not known yet.
+            recent = np.array(states[-2 * SMOOTHING - 1 :])[:, :3]
+            size = self._actors[track_id].track.size
+            self._poses[track_id].append(self._start.surface.actor_poses(recent, size)[-1])
+
+    def actor_now(self, track_id: str) -> Array:
+        """x, y, heading of the box centre, speed (4,) of a controlled actor now."""
+        return self._states[track_id][self.step].copy()
+
+    def actor_states(self, track_id: str, steps: int) -> Array:
+        """x, y, heading of the box centre, speed (steps + 1, 4) of a controlled actor."""
+        return np.array(self._states[track_id][: steps + 1])
+
+    def actor_poses(self, track_id: str, steps: int) -> Array:
+        """`world_from_actor` (steps + 1, 4, 4) of a controlled actor."""
+        return np.array(self._poses[track_id][: steps + 1])
+
+    def travelled(self, track_id: str) -> float:
+        """Metres that an actor which reacts has moved since the start."""
+        return self._travelled[track_id]
+
+    def ego_history(self) -> Array:
+        """Ego states (H, 11) of up to 2 s, oldest first, the present one last."""
+        return np.array([*self._logged, *self.ego][-self._shown - 1 :])
+
+    def road_users(self) -> tuple[ActorState, ...]:
+        """All road users but the ego now: controlled ones, the target first, then logged ones."""
+        controlled = (self._as_road_user(track_id) for track_id in self._actors)
+        return (*controlled, *_other_actors(self._setup, self.timestamp_us(self.step)))
+
+    def state(self, step: int) -> SimState:
+        """The world at a step up to now, read-only.
+
+        Raises:
+            ValueError: the rollout has not come there.
+        """
+        if not 0 <= step <= self.step:
+            raise ValueError(f"Simulator.state_at: expected step 0 to {self.step}, got {step}")
+        setup, now, time = self._setup, self.ego[step], self.timestamp_us(step)
+        controlled = {}
+        for track_id in setup.controlled:
+            logged = setup.track_of(track_id).trajectory
+            controlled[track_id] = SimActor(
+                state=self._states[track_id][step],
+                world_from_actor=self._poses[track_id][step],
+                log_world_from_actor=logged.at(time) if logged.covers(time) else None,
+            )
+        target = controlled.pop(setup.track_id)
+        state = SimState(
+            step=step,
+            timestamp_us=time,
+            ego=EgoState(now),
+            log_ego=self._start.ego[step, [ego.X, ego.Y, ego.HEADING, ego.VX]],
+            world_from_rig=self._start.surface.ego_poses(now[ego.POSE]),
+            track_id=setup.track_id,
+            actor=target.state,
+            world_from_actor=target.world_from_actor,
+            log_world_from_actor=target.log_world_from_actor,
+            others=other_poses(setup, time),
+            further=controlled,
         )
-    target = controlled.pop(setup.track_id)
-    return SimState(
-        step=step,
-        timestamp_us=time,
-        ego=EgoState(now),
-        log_ego=start.ego[step, [ego.X, ego.Y, ego.HEADING, ego.VX]],
-        world_from_rig=start.surface.ego_poses(now[ego.POSE]),
-        track_id=setup.track_id,
-        actor=target.state,
-        world_from_actor=target.world_from_actor,
-        log_world_from_actor=target.log_world_from_actor,
-        others=other_poses(setup, time),
-        further=controlled,
-    )
+        return read_only(state)
 
+    def rollout(
+        self, planner: str, cut_reason: str | None, renderer: SensorRenderer | None
+    ) -> Rollout:
+        """All that was driven, validated and read-only.
 
-def history_steps(setup: RolloutSetup) -> int:
-    """Past states that a planner is shown, besides the present one."""
-    return round(_HISTORY / setup.dt)
+        Args:
+            planner: name of who planned.
+            cut_reason: why it is shorter than asked for; None if it is not.
+            renderer: renderer of its images.
 
-
-def logged_past(setup: RolloutSetup, start: RolloutStart) -> list[Array]:
-    """Ego states (11,) before the start, as many as recorded, oldest first.
-
-    They are the logged ones, moved as the start is (`RolloutSetup.start_left`).
-    """
-    log, step = setup.log.world_from_rig, round(setup.dt * 1e6)
-    first = start.start_timestamp_us
-    count = min(history_steps(setup), int((first - log.timestamps_us[0]) // step))
-    times = [first - step * i for i in range(count, 0, -1)]
-    past = [initial_state(log.timestamps_us, log.poses, time, setup.vehicle) for time in times]
-    left = setup.start_left
-    return [ego.moved_left(state, left) for state in past] if left else past
-
-
-def make_rollout(
-    *,
-    setup: RolloutSetup,
-    start: RolloutStart,
-    actors: ControlledActors,
-    planner: str,
-    ego_states: Array,
-    predictions: Sequence[Array],
-    plan_steps: Sequence[int],
-    cut_reason: str | None,
-    renderer: SensorRenderer | None,
-) -> Rollout:
-    """A rollout of the states that were reached, validated and read-only.
-
-    Args:
-        ego_states: (S+1, 11) states of the simulated ego.
-        predictions: (40, 3) waypoints of each plan.
-        plan_steps: step at which each plan was made.
-
-    Raises:
-        ValueError: the states are none, see `Rollout.validate`.
-    """
-    steps = len(ego_states) - 1
-    rollout = Rollout(
-        name=setup.name,
-        arm=setup.arm,
-        track_id=setup.track_id,
-        motion=setup.motion.name,
-        setting=setup.motion.setting,
-        planner=planner,
-        start_timestamp_us=start.start_timestamp_us,
-        dt=setup.dt,
-        steps_requested=setup.steps,
-        cut_reason=cut_reason,
-        ego=ego_states,
-        log_ego=start.ego[: steps + 1, [ego.X, ego.Y, ego.HEADING, ego.VX]],
-        actor=actors.states(setup.track_id, steps),
-        world_from_rig=start.surface.ego_poses(ego_states[:, ego.POSE]),
-        world_from_actor=actors.poses(setup.track_id, steps),
-        actor_size=setup.track.size,
-        ego_size=np.array([setup.vehicle.length, setup.vehicle.width]),
-        ego_centre_offset=setup.vehicle.centre_offset,
-        predictions=np.array(predictions).reshape(-1, WAYPOINTS, 3),
-        plan_steps=np.array(plan_steps, np.int64),
-        route=start.route.line.points,
-        other_actors=other_ids(setup),
-        controlled=tuple(
+        Raises:
+            ValueError: the states are none, see `Rollout.validate`.
+        """
+        setup, start, steps = self._setup, self._start, self.step
+        states = np.array(self.ego)
+        further = (
             ControlledActor(
-                track_id=actor.track.track_id,
+                track_id=track_id,
                 category=actor.track.category,
                 motion=actor.motion.name,
                 setting=actor.motion.setting,
-                states=actors.states(actor.track.track_id, steps),
-                world_from_actor=actors.poses(actor.track.track_id, steps),
+                states=self.actor_states(track_id, steps),
+                world_from_actor=self.actor_poses(track_id, steps),
                 size=actor.track.size,
             )
-            for actor in start.actors[1:]
-        ),
-        reactive=actors.reactive,
-    )
-    rollout.validate()
-    return replace(read_only(rollout), origin=RolloutOrigin(setup, renderer))
+            for track_id, actor in list(self._actors.items())[1:]
+        )
+        rollout = Rollout(
+            name=setup.name,
+            arm=setup.arm,
+            track_id=setup.track_id,
+            motion=setup.motion.name,
+            setting=setup.motion.setting,
+            planner=planner,
+            start_timestamp_us=start.start_timestamp_us,
+            dt=setup.dt,
+            steps_requested=setup.steps,
+            cut_reason=cut_reason,
+            ego=states,
+            log_ego=start.ego[: steps + 1, [ego.X, ego.Y, ego.HEADING, ego.VX]],
+            actor=self.actor_states(setup.track_id, steps),
+            world_from_rig=start.surface.ego_poses(states[:, ego.POSE]),
+            world_from_actor=self.actor_poses(setup.track_id, steps),
+            actor_size=setup.track.size,
+            ego_size=np.array([setup.vehicle.length, setup.vehicle.width]),
+            ego_centre_offset=setup.vehicle.centre_offset,
+            predictions=np.array([plan for _, plan in self.plans]).reshape(-1, WAYPOINTS, 3),
+            plan_steps=np.array([step for step, _ in self.plans], np.int64),
+            route=start.route.line.points,
+            other_actors=_other_ids(setup),
+            controlled=tuple(further),
+            reactive=tuple(key for key, actor in self._actors.items() if actor.reacts),
+        )
+        rollout.validate()
+        return replace(read_only(rollout), origin=RolloutOrigin(setup, renderer))
+
+    @property
+    def _shown(self) -> int:
+        """Past states that a planner is shown, besides the present one."""
+        return round(_SHOWN / self._setup.dt)
+
+    def _logged_past(self) -> list[Array]:
+        """Ego states (11,) before the start, as many as recorded, oldest first.
+
+        They are the logged ones, moved as the start is (`RolloutSettings.start_left`).
+        """
+        setup, first = self._setup, self._start.start_timestamp_us
+        log, step = setup.log.world_from_rig, round(setup.dt * 1e6)
+        count = min(self._shown, int((first - log.timestamps_us[0]) // step))
+        times = [first - step * i for i in range(count, 0, -1)]
+        past = [initial_state(log.timestamps_us, log.poses, time, setup.vehicle) for time in times]
+        left = setup.start_left
+        return [ego.moved_left(state, left) for state in past] if left else past
+
+    def _as_road_user(self, track_id: str) -> ActorState:
+        first = max(self.step - 1, 0)
+        around = np.array(self._states[track_id][first : self.step + 2])
+        track = self._actors[track_id].track
+        return ActorState(
+            track_id=track_id,
+            category=track.category,
+            pose=around[self.step - first, :3],
+            velocity=ground_velocities(around)[self.step - first],
+            size=track.size,
+        )
+
+
+def _other_ids(setup: RolloutSetup) -> tuple[str, ...]:
+    """Ids of the logged tracks that stay; none by default."""
+    if not setup.keep_other_actors:
+        return ()
+    controlled = setup.controlled
+    return tuple(key for key in setup.log.tracks if key not in controlled)
+
+
+def other_poses(setup: RolloutSetup, timestamp_us: int) -> dict[str, Array]:
+    """Logged `world_from_actor` (4, 4) at a time of the tracks that stay and are labelled then."""
+    trajectories = {key: setup.log.tracks[key].trajectory for key in _other_ids(setup)}
+    return {k: t.at(timestamp_us) for k, t in trajectories.items() if t.covers(timestamp_us)}
+
+
+def _other_actors(setup: RolloutSetup, timestamp_us: int) -> list[ActorState]:
+    """What a planner sees of them; velocities are differences over one step to each side."""
+    step = round(setup.dt * 1e6)
+    actors = []
+    for key, pose in other_poses(setup, timestamp_us).items():
+        track = setup.log.tracks[key]
+        velocity = logged_velocity(track.trajectory, timestamp_us, step)
+        actors.append(ActorState(key, track.category, se2.from_se3(pose), velocity, track.size))
+    return actors

@@ -15,7 +15,7 @@ from multiprocessing.connection import Connection
 from multiprocessing.pool import ExceptionWithTraceback  # type: ignore[attr-defined]
 from multiprocessing.reduction import ForkingPickler
 from time import perf_counter
-from typing import Any
+from typing import Any, NoReturn
 
 import numpy as np
 
@@ -112,6 +112,10 @@ class PlannerProcess(Closing, PlannerAround):
         self._records: dict[str, Any] = {}
         self._connection: Connection | None = None
         self._end: Callable[[], object] = lambda: None
+
+    def __deepcopy__(self, memo: dict[int, Any]) -> NoReturn:
+        problem = "runs in a process of its own, whose state cannot be copied"
+        raise InputError(f"planner {self.name}", "copy", problem, "remove the time limit")
 
     @property
     def record_fields(self) -> Mapping[str, str | float]:

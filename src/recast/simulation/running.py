@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import traceback
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import replace
 
 import numpy as np
 
-from recast.arrays import Array, Image
+from recast.arrays import Array
 from recast.core.foreign import whole
 from recast.dynamics import state as ego
 from recast.geometry import se2
@@ -22,11 +22,8 @@ from recast.simulation.recorded_road import refuse_if_too_short
 from recast.simulation.renderer import SensorRenderer
 from recast.simulation.rollout import Rollout, RolloutFailure
 from recast.simulation.setup import RolloutSetup
-from recast.simulation.simulator import Simulator, Timings
-from recast.simulation.state import SimState
+from recast.simulation.simulator import OnFrame, Simulator, Timings
 
-OnFrame = Callable[[SimState, Mapping[str, Image]], None]
-"""Called with each state k = 0 .. S-1 in order and its images."""
 TRACEBACK_LIMIT = 8000
 """Characters of a traceback that a failure keeps: the last ones, which name the place."""
 _REASON_LIMIT = 2000
@@ -70,13 +67,13 @@ def run_rollout(
     shown = {name: looked_at(planner, mounts)[name] for name in seen}
     filmed = () if on_frame is None else names
     besides = tuple(name for name in filmed if name not in seen)
-    simulator = Simulator.from_setup(
+    simulator = Simulator(
         setup,
         renderer,
         cameras=seen,
         planner=planner.name,
         timings=timings,
-        replay=planner.replays_log,
+        replays_log=planner.replays_log,
     )
     with calling(planner, setup.plan_limit_s) as calls, _finishing(calls):
         calls.reset(replace(simulator.context, cameras=shown))

@@ -1,14 +1,15 @@
-"""What a rollout is asked to be, and what a simulator is made from: names, motions and scenes."""
+"""What a rollout is asked to be: settings, log, actors and their motions; and its renderer."""
 
 from __future__ import annotations
 
 import math
 import os
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from pathlib import Path
-from typing import TYPE_CHECKING, TypedDict
+from typing import TYPE_CHECKING
 
+from recast.core.arguments import check_fields
 from recast.core.errors import InputError
 from recast.core.foreign import lacks, whole
 from recast.core.plugins import SCENES
@@ -36,14 +37,11 @@ planner plans further than 8 s."""
 _MOST_STEPS = 1_000_000
 
 
-@dataclass(frozen=True)
-class RolloutSetup:
-    """A rollout to be run.
+@dataclass(frozen=True, kw_only=True)
+class RolloutSettings:
+    """How a rollout is run, whatever is driven in it.
 
     Attributes:
-        log: the recorded drive; its map is used unless `map` is given.
-        track_id: the target, the actor to control.
-        motion: what it does; a `Scenario` also brings further actors.
         arm: what renders it, for tables; has no influence on the motion.
         map: lanes, drivable area and ground, or None for the log's.
         start_timestamp_us: log time of state 0; None for what the target's motion says (see
@@ -61,15 +59,14 @@ class RolloutSetup:
         plan_limit_s: seconds of wall-clock time that one plan may take; a planner that takes longer
             fails the rollout. It runs in a process of its own then, see `PlannerProcess`. None for
             no limit, on which no result may depend.
-        actors: further controlled actors beside the target, by track id, with their motions.
-        seed: seed of random numbers of motions and of the planner.
         start_left: metres to the left of where the log has it at which the ego starts, with its
             past. Scripts do not depend on it.
+        seed: seed of random numbers of motions and of the planner.
+
+    Raises:
+        InputError: a value is of the wrong type or out of its range.
     """
 
-    log: DrivingLog
-    track_id: str
-    motion: AnyMotion | Scenario
     arm: str = "scene"
     map: HdMap | None = None
     start_timestamp_us: int | None = None
@@ -80,42 +77,66 @@ class RolloutSetup:
     controller: EgoController = field(default_factory=LqrController)
     keep_other_actors: bool = False
     road_margin: float = 2.0
-    camera_names: tuple[str, ...] | None = None
+    camera_names: Sequence[str] | None = None
     plan_limit_s: float | None = None
-    actors: Mapping[str, AnyMotion] = field(default_factory=dict)
     start_left: float = 0.0
     seed: int = 0
 
     def __post_init__(self) -> None:
-        if not isinstance(self.motion, Scenario):
-            object.__setattr__(self, "motion", _motion_of(self.track_id, self.motion))
-        further = {track_id: _motion_of(track_id, one) for track_id, one in self.actors.items()}
-        object.__setattr__(self, "actors", further)
+        check_fields(self)
         object.__setattr__(self, "controller", whole(self.controller, BaseController))
-        self._check_actors()
         for field_name, low, high in (("steps", 1, _MOST_STEPS), ("plan_every", 1, WAYPOINTS)):
             value = getattr(self, field_name)
             if not low <= value <= high:
-                raise _refused(field_name, f"is {value}", f"give {low} to {high}")
+                raise self._refused(field_name, f"is {value}", f"give {low} to {high}")
         microseconds = self.dt * 1e6
         fits = math.isfinite(microseconds) and abs(microseconds - round(microseconds)) < 1e-3
         if not (fits and _DT[0] <= self.dt <= _DT[1]):
             mend = f"give {_DT[0]:g} to {_DT[1]:g} s, in whole microseconds"
-            raise _refused("dt", f"is {self.dt} s", mend)
+            raise self._refused("dt", f"is {self.dt} s", mend)
         if self.plan_limit_s is not None and not self.plan_limit_s > 0.0:
-            raise _refused("plan_limit_s", f"is {self.plan_limit_s} s", "give more than 0, or None")
+            mend = "give more than 0, or None"
+            raise self._refused("plan_limit_s", f"is {self.plan_limit_s} s", mend)
         if not math.isfinite(self.start_left):
-            raise _refused("start_left", f"is {self.start_left} m", "give a number of metres")
+            raise self._refused("start_left", f"is {self.start_left} m", "give a number of metres")
         if not 0.0 <= self.road_margin < math.inf:
-            raise _refused("road_margin", f"is {self.road_margin} m", "give 0 or more")
+            raise self._refused("road_margin", f"is {self.road_margin} m", "give 0 or more")
 
-    def _check_actors(self) -> None:
+    def _refused(self, field_name: str, problem: str, mend: str) -> InputError:
+        return InputError(type(self).__name__, field_name, problem, mend)
+
+
+@dataclass(frozen=True)
+class RolloutSetup(RolloutSettings):
+    """A rollout to be run: its settings, and what is driven in it.
+
+    Attributes:
+        log: the recorded drive; its map is used unless `map` is given.
+        track_id: the target, the actor to control.
+        motion: what it does; a `Scenario` also brings further actors.
+        actors: further controlled actors beside the target, by track id, with their motions.
+
+    Raises:
+        InputError: see `RolloutSettings`; or a motion is not one, or a track has two.
+    """
+
+    log: DrivingLog
+    track_id: str
+    motion: AnyMotion | Scenario
+    actors: Mapping[str, AnyMotion] = field(default_factory=dict, kw_only=True)
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if not isinstance(self.motion, Scenario):
+            object.__setattr__(self, "motion", _motion_of(self.track_id, self.motion))
+        further = {track_id: _motion_of(track_id, one) for track_id, one in self.actors.items()}
+        object.__setattr__(self, "actors", further)
         brought = [actor.track_id for actor in further_actors(self.motion)]
         ids = [self.track_id, *brought, *self.actors]
         for track_id in ids:
             if ids.count(track_id) > 1:
                 problem = f"track {track_id} is given twice"
-                raise _refused("actors", problem, "give each track one motion")
+                raise self._refused("actors", problem, "give each track one motion")
 
     @property
     def name(self) -> str:
@@ -172,47 +193,27 @@ class RolloutSetup:
         return self.log.tracks[track_id]
 
 
-class RolloutSettings(TypedDict, total=False):
-    """The settings of a `RolloutSetup` by name, as keyword arguments."""
-
-    arm: str
-    map: HdMap | None
-    start_timestamp_us: int | None
-    steps: int
-    plan_every: int
-    dt: float
-    vehicle: VehicleParameters
-    controller: EgoController
-    keep_other_actors: bool
-    road_margin: float
-
-
 def _motion_of(track_id: str, motion: AnyMotion) -> BaseMotion:
     return whole_motion(motion, f"motion of track {track_id}")
 
 
-def _refused(field_name: str, problem: str, mend: str) -> InputError:
-    return InputError("RolloutSetup", field_name, problem, mend)
-
-
-def as_setup(
+def make_setup(
     log: DrivingLog,
-    actors: Mapping[str, str | Path | AnyMotion | Scenario],
-    cameras: Sequence[str] | None,
     settings: RolloutSettings,
+    actors: Mapping[str, str | Path | AnyMotion | Scenario],
 ) -> RolloutSetup:
-    """The setup of a rollout; see `Simulator` for the arguments.
+    """The setup of a rollout.
+
+    Args:
+        actors: controlled actors by track id: a motion, or its name such as "cut-in". The first
+            one is the target.
 
     Raises:
-        InputError: no actor, no such motion, or bad settings.
+        InputError: no actor, or no such motion.
     """
     if not isinstance(actors, Mapping) or not actors:
         mend = "name the target and its motion, such as actors={'0': 'cut-in'}"
         raise InputError("Simulator", "actors", "is empty or not a mapping", mend)
-    unknown = set(settings) - set(RolloutSettings.__annotations__)
-    if unknown:
-        mend = f"choose one of {', '.join(RolloutSettings.__annotations__)}"
-        raise InputError("Simulator", sorted(unknown)[0], "is not a setting", mend)
     (target, scripted), *others = ((key, motion(value)) for key, value in actors.items())
     further: dict[str, AnyMotion] = {}
     for key, value in others:
@@ -220,8 +221,8 @@ def as_setup(
             problem = f"track {key} is given the scenario {value.name}, which has several actors"
             raise InputError("Simulator", "actors", problem, "give the scenario to the first track")
         further[key] = value
-    names = None if cameras is None else tuple(cameras)
-    return RolloutSetup(log, target, scripted, camera_names=names, actors=further, **settings)
+    members = {one.name: getattr(settings, one.name) for one in fields(RolloutSettings)}
+    return RolloutSetup(log, target, scripted, actors=further, **members)
 
 
 def as_renderer(

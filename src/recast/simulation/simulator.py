@@ -1,13 +1,14 @@
-"""The simulator: a rollout step by step, whoever plans."""
+"""The simulator: a rollout step by step, whoever plans; it can be branched and replayed."""
 
 from __future__ import annotations
 
+import copy
 import warnings
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from time import perf_counter
-from typing import TYPE_CHECKING, Self, Unpack
+from typing import TYPE_CHECKING, Self
 
 import numpy as np
 
@@ -24,14 +25,8 @@ from recast.logs.types import DrivingLog
 from recast.planning import Plan, PlannerInput, PlanningContext
 from recast.planning.cameras import require_cameras
 from recast.simulation.actor_motion import AnyMotion
-from recast.simulation.actors import ControlledActors
-from recast.simulation.history import (
-    history_steps,
-    logged_past,
-    make_rollout,
-    sim_state,
-    timestamp_us,
-)
+from recast.simulation.actors import ReactiveActors
+from recast.simulation.history import History
 from recast.simulation.plan_execution import BaseController
 from recast.simulation.planner_calls import checked_plan
 from recast.simulation.recorded_road import Ending, RecordedRoad
@@ -39,7 +34,7 @@ from recast.simulation.renderer import SensorRenderer
 from recast.simulation.rollout import Rollout
 from recast.simulation.rollout_start import start_rollout
 from recast.simulation.scenario import Scenario
-from recast.simulation.setup import RolloutSettings, RolloutSetup, as_renderer, as_setup
+from recast.simulation.setup import RolloutSettings, RolloutSetup, as_renderer, make_setup
 from recast.simulation.state import SimState
 
 if TYPE_CHECKING:
@@ -55,6 +50,8 @@ _SHARPEST = 0.5
 """Radians of heading in the first waypoint: a car turns by less in 0.2 s."""
 Observation = PlannerInput
 """What `Simulator.reset` and `Simulator.step` return, and what `Planner.plan` takes."""
+OnFrame = Callable[[SimState, Mapping[str, Image]], None]
+"""Called with each state k = 0 .. S-1 in order and its images."""
 
 
 @dataclass
@@ -68,29 +65,30 @@ class Timings:
 
 
 class Simulator:
-    """Runs one rollout, one plan at a time; `reset` begins it anew.
+    """Runs one rollout, one plan at a time; `reset` begins it anew, `copy` branches it.
 
     A collision never ends a rollout. Same inputs, same bytes.
 
     Args:
-        log: the recorded drive.
+        log: the recorded drive; or a `RolloutSetup`, which has actors and settings.
         scene: what the cameras see: a street scene, any renderer, or None for no images.
         actors: controlled actors by track id: a motion, or its name such as "cut-in". The first
             one is the target.
-        cameras: names of the cameras in the observations; None for all of the log, or all of the
-            given renderer. Without a scene there are none.
+        settings: how the rollout is run; None for the defaults.
+        cameras: names of the cameras in the observations; None for those of the settings, or else
+            all of the log or of the given renderer. Without a scene there are none.
         scale: size of a street scene's images, as a share of the log's.
         device: device that renders a street scene: "auto", "cpu", "cuda" or "cuda:1".
         planner: name of who plans, for the rollout.
         timings: timings that the simulator adds to; None for new ones.
-        settings: arguments of `RolloutSetup`: `steps`, `plan_every`, `dt`, `vehicle`, `controller`,
-            `map`, `start_timestamp_us`, `keep_other_actors`, `road_margin` and `arm`.
+        replays_log: put the ego onto the logged states, whatever the plans say.
 
     Raises:
         InputError: bad settings, no such track, motion or camera; see also
             `recast.simulation.rollout_start.start_rollout`.
 
-    >>> sim = Simulator(log, actors={"0": "advancing"}, steps=10)
+    >>> from recast.simulation import RolloutSettings
+    >>> sim = Simulator(log, actors={"0": "advancing"}, settings=RolloutSettings(steps=10))
     >>> planner.reset(sim.context)
     >>> observation = sim.reset()
     >>> while not sim.done:
@@ -99,76 +97,51 @@ class Simulator:
     10
     """
 
-    _replay = False
-
     @checked({DrivingLog: load_log})
     def __init__(
         self,
-        log: DrivingLog,
+        log: DrivingLog | RolloutSetup,
         scene: StreetScene | SensorRenderer | None = None,
         actors: Mapping[str, str | Path | AnyMotion | Scenario] | None = None,
+        settings: RolloutSettings | None = None,
         *,
         cameras: Sequence[str] | None = None,
         scale: float = 1.0,
         device: str = "auto",
         planner: str = "external",
         timings: Timings | None = None,
-        **settings: Unpack[RolloutSettings],
+        replays_log: bool = False,
     ) -> None:
-        setup = as_setup(log, actors or {}, cameras, settings)
-        renderer = as_renderer(log, scene, cameras, scale, device)
-        self._open(setup, renderer, cameras, planner, timings)
-
-    @classmethod
-    def from_setup(
-        cls,
-        setup: RolloutSetup,
-        renderer: SensorRenderer | None = None,
-        *,
-        cameras: Sequence[str] | None = None,
-        planner: str = "external",
-        timings: Timings | None = None,
-        replay: bool = False,
-    ) -> Self:
-        """A simulator of a rollout that is described already; see the class for the arguments.
-
-        Args:
-            replay: put the ego onto the logged states, whatever the plans say.
-        """
-        simulator = cls.__new__(cls)
-        simulator._replay = replay
-        simulator._open(setup, renderer, cameras, planner, timings)
-        return simulator
-
-    def _open(
-        self,
-        setup: RolloutSetup,
-        renderer: SensorRenderer | None,
-        cameras: Sequence[str] | None,
-        planner: str,
-        timings: Timings | None,
-    ) -> None:
-        self._setup, self._renderer, self.planner = setup, renderer, planner
+        if isinstance(log, DrivingLog):
+            settings = settings or RolloutSettings()
+            if cameras is not None:
+                settings = replace(settings, camera_names=tuple(cameras))
+            setup = make_setup(log, settings, actors or {})
+            cameras = setup.camera_names
+        elif actors is None and settings is None:
+            setup = log
+        else:
+            field = "actors" if settings is None else "settings"
+            problem = "are given beside a RolloutSetup, which has its own"
+            raise InputError("Simulator", field, problem, "leave them out")
+        self._setup, self._replays_log, self.planner = setup, replays_log, planner
+        self._renderer = as_renderer(setup.log, scene, cameras, scale, device)
         self.timings = timings or Timings()
         self._controller = whole(setup.controller, BaseController)
-        mounts = {} if renderer is None else renderer.mounts
+        mounts = {} if self._renderer is None else self._renderer.mounts
         self._cameras = tuple(mounts if cameras is None else cameras)
         require_cameras(self._cameras, mounts, "Simulator")
         self._begin(setup.seed)
 
     def _begin(self, seed: int) -> None:
-        self._start, self._seed = start_rollout(self._setup, seed), seed
-        self._actors = ControlledActors(self._setup, self._start)
+        setup = self._setup
+        self._start, self._seed = start_rollout(setup, seed), seed
+        self._history = History(setup, self._start)
+        self._actors = ReactiveActors(setup, self._start, self._history)
         who = f"controller {type(self._controller).__name__}"
         self._guard = ForeignCode(who, seed, self._controller)
-        self._road = RecordedRoad(self._start.route, self._setup.road_margin)
-        self._past = logged_past(self._setup, self._start)
-        self._ego: list[Array] = [self._start.first]
-        route, began = self._start.route, self._start.start_timestamp_us
-        self._s = [float(route.project(self._start.first, route.at_time(began))[0])]
-        self._predictions: list[Array] = []
+        self._road = RecordedRoad(self._start.route, setup.road_margin)
         self._warned = False
-        self._plan_steps: list[int] = []
         self._ending: Ending | None = None
         self._reason = self._start.cut_reason
         self._context = self._make_context()
@@ -183,12 +156,12 @@ class Simulator:
     @property
     def step_number(self) -> int:
         """Steps executed up to now."""
-        return len(self._ego) - 1
+        return self._history.step
 
     @property
     def route_s(self) -> Array:
         """Coordinates (step_number + 1,) of the ego on the route, each looked for near the last."""
-        return np.array(self._s)
+        return np.array(self._history.route_s)
 
     @property
     def done(self) -> bool:
@@ -207,8 +180,8 @@ class Simulator:
 
     @property
     def state(self) -> SimState:
-        """The world now."""
-        return self.state_at(self.step_number)
+        """The world now, read-only; `state_at` has it at a step before."""
+        return self._history.state(self.step_number)
 
     @property
     def context(self) -> PlanningContext:
@@ -239,17 +212,53 @@ class Simulator:
         if self.step_number == 0:
             why = f" ({self._reason})" if self.done else "; call step"
             raise ValueError(f"Simulator.rollout: no step was executed{why}")
-        return make_rollout(
-            setup=self._setup,
-            start=self._start,
-            actors=self._actors,
-            planner=self.planner,
-            ego_states=np.array(self._ego),
-            predictions=self._predictions,
-            plan_steps=self._plan_steps,
-            cut_reason=self._reason if self.done else "stopped before its end",
-            renderer=self._renderer,
-        )
+        reason = self._reason if self.done else "stopped before its end"
+        return self._history.rollout(self.planner, reason, self._renderer)
+
+    def copy(self) -> Self:
+        """An independent simulator at the present step, for a branch of the rollout.
+
+        Motions, the controller and a restorer are copied with what they remember
+        (`copy.deepcopy`); log, map, road and renderer are shared. A planner that remembers
+        something is copied beside it, by `copy.deepcopy`.
+        """
+        setup, start = self._setup, self._start
+        situations = (actor.situation for actor in start.actors)
+        shared = (setup.log, setup.hdmap, start.route, start.surface, self._context, *situations)
+        return copy.deepcopy(self, {id(one): one for one in shared})
+
+    def replay(self, plans: Rollout | Sequence[Plan], on_frame: OnFrame | None = None) -> Rollout:
+        """Begin anew with the seed of now, and execute plans that were made before.
+
+        The simulator stays where they end, and can go on from there.
+
+        Args:
+            plans: plans in order; or a rollout of the same setup, of which they are taken.
+            on_frame: receives each state that is passed and the images of the cameras, for a film.
+
+        Returns:
+            What was driven: for a rollout the same bytes, with its planner and cut reason.
+
+        Raises:
+            InputError: the plans of a rollout lead elsewhere than it did.
+            ValueError: there are no plans, or more than the rollout has steps for.
+        """
+        self._begin(self._seed)
+        for plan in map(Plan, plans.predictions) if isinstance(plans, Rollout) else plans:
+            first = self.step_number
+            kept = self.advance(plan)
+            if on_frame is not None:
+                for step in range(first, first + kept):
+                    on_frame(self.state_at(step), self.render(self._cameras, step))
+        driven = self.rollout
+        if not isinstance(plans, Rollout):
+            return driven
+        if not np.array_equal(driven.ego, plans.ego):
+            problem = "does not come from these plans in this simulator"
+            mend = "give the setup and the seed that it was run with"
+            raise InputError("Simulator.replay", f"rollout {plans.name}", problem, mend)
+        # Of a last plan of which no step was executed, a rollout has the reason alone.
+        return replace(driven, planner=plans.planner, cut_reason=plans.cut_reason)
 
     def reset(self, seed: int | None = None) -> Observation:
         """Begin the rollout anew.
@@ -284,17 +293,16 @@ class Simulator:
         Args:
             images: images of the cameras; None to render them.
         """
-        step, now = self.step_number, self._ego[-1]
-        history = np.array([*self._past, *self._ego][-history_steps(self._setup) - 1 :])
+        history, now = self._history, self._history.ego[-1]
         observation = PlannerInput(
-            step=step,
-            timestamp_us=timestamp_us(self._setup, self._start, step),
+            step=history.step,
+            timestamp_us=history.timestamp_us(history.step),
             ego=EgoState(now),
-            ego_history=history,
-            actors=self._actors.seen(step),
-            command=self._start.route.command(now, self._s[-1]),
+            ego_history=history.ego_history(),
+            actors=history.road_users(),
+            command=self._start.route.command(now, history.route_s[-1]),
             images=self.render(self._cameras) if images is None else images,
-            route_s=self._s[-1],
+            route_s=history.route_s[-1],
         )
         return read_only(observation)
 
@@ -303,25 +311,23 @@ class Simulator:
         if self.done:
             raise ValueError("Simulator.step: the rollout is over; call reset")
         plan = checked_plan(plan, "Simulator.step", "got")
-        first, setup = self.step_number, self._setup
-        steps = min(setup.plan_every, self._start.steps - first)
+        history, first = self._history, self.step_number
+        steps = min(self._setup.plan_every, self._start.steps - first)
         executed = self._execute(plan, steps)
-        along = self._start.route.follow(executed, self._s[-1])
+        along = self._start.route.follow(executed, history.route_s[-1])
         outside = self._road.outside(executed[:, :2], along)
         kept = int(np.argmax(outside)) if outside.any() else steps
         if kept < steps:
             self._ending = self._road.ending(along[kept])
             self._reason = self._road.reason("the ego", executed[kept, :2], along[kept])
         for k in range(kept):
-            reason = self._actors.advance(self._ego[-1])
+            moved, reason = self._actors.step()
             if reason is not None:
                 kept, self._ending, self._reason = k, Ending.ACTOR, reason
                 break
-            self._ego.append(executed[k])
-            self._s.append(float(along[k]))
+            history.append(executed[k], float(along[k]), moved)
         if kept > 0:
-            self._predictions.append(plan.waypoints)
-            self._plan_steps.append(first)
+            history.plans.append((first, plan.waypoints))
         if self._ending is None and self.step_number == self._start.steps:
             self._ending = self._start.ending
         return kept
@@ -337,7 +343,7 @@ class Simulator:
         if self._renderer is None:
             raise ValueError("Simulator.render: give the simulator a scene")
         began = perf_counter()
-        state = self.state_at(self.step_number if step is None else step)
+        state = self._history.state(self.step_number if step is None else step)
         # Random numbers by step, so that films change none.
         with ForeignCode("renderer", self._seed + state.step).call("render"):
             rendered = self._renderer.render(state, tuple(cameras))
@@ -347,16 +353,12 @@ class Simulator:
         return images
 
     def state_at(self, step: int) -> SimState:
-        """The world at a step up to now.
+        """The world at a step up to now, read-only.
 
         Raises:
             ValueError: the rollout has not come there.
         """
-        if not 0 <= step <= self.step_number:
-            raise ValueError(
-                f"Simulator.state_at: expected step 0 to {self.step_number}, got {step}"
-            )
-        return read_only(sim_state(self._setup, self._start, self._actors, self._ego[step], step))
+        return self._history.state(step)
 
     def warn_of_reach(self, plan: Plan) -> None:
         """Warn once a rollout of a plan whose first waypoint no vehicle can reach in a step.
@@ -365,7 +367,7 @@ class Simulator:
             ValueError: the plan is none.
         """
         checked_plan(plan, "Simulator.step", "got")
-        setup, state = self._setup, EgoState(self._ego[-1])
+        setup, state = self._setup, EgoState(self._history.ego[-1])
         x, y, heading = np.asarray(plan.waypoints, np.float64)[0]
         reach = (state.speed + _HARDEST * setup.dt) * setup.dt + _OFFSET
         turn = abs(float(se2.wrap_angle(heading)))
@@ -384,12 +386,12 @@ class Simulator:
     def _execute(self, plan: Plan, steps: int) -> Array:
         """Ego states (steps, 11) by the controller."""
         setup, began = self._setup, perf_counter()
-        if self._replay:
+        if self._replays_log:
             logged = self._start.ego[self.step_number + 1 : self.step_number + 1 + steps]
             return ego.moved_left(logged, setup.start_left) if setup.start_left else logged
         with self._guard.call(f"execute at step {self.step_number}"):
             states = self._controller.execute(
-                *read_only((self._ego[-1], plan.waypoints)), steps, setup.vehicle, setup.dt
+                *read_only((self._history.ego[-1], plan.waypoints)), steps, setup.vehicle, setup.dt
             )
         executed = np.array(states, np.float64)[1:]
         self.timings.control += perf_counter() - began

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from copy import copy
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 import torch
@@ -117,6 +119,10 @@ class GtrsPlanner(BasePlanner):
         # Left, front and right picture of any rig; of nuPlan's, its cameras of these names.
         self.wanted_views = views.views
         self.camera_names = None if views.views else views.cameras
+
+    def __deepcopy__(self, memo: dict[int, Any]) -> GtrsPlanner:
+        """An independent planner with the same network, which no rollout changes."""
+        return copy(self)
 
     @property
     def _who(self) -> str:
