@@ -60,6 +60,16 @@ if TYPE_CHECKING:
     from recast.synthetic import World
     from recast.synthetic.oracle import OraclePool
 
+_LOG = logging.getLogger(__name__)
+
+_FAILURE = "failure.json"
+_FILMS = "films.json"
+_PLANNER = "planner.json"
+_STATES = "states"
+_COVERAGE = "coverage.parquet"
+_VERSION: Literal[1] = 1
+_MEND = "remove the folder of this rollout and run again"
+
 
 def run_mounts(log: DrivingLog, planner: Planner, config: RunConfig) -> dict[str, CameraMount]:
     """The cameras that a run renders: the log's, at the scale of the scene, and `planner_mounts`.
@@ -233,17 +243,6 @@ class Renderers:
     def close(self) -> None:
         """End the oracle's processes."""
         self._open.close()
-
-
-_LOG = logging.getLogger(__name__)
-
-_FAILURE = "failure.json"
-_FILMS = "films.json"
-_PLANNER = "planner.json"
-_STATES = "states"
-_COVERAGE = "coverage.parquet"
-_VERSION: Literal[1] = 1
-_MEND = "remove the folder of this rollout and run again"
 
 
 class FilmsRecord(Record):

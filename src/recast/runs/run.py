@@ -18,7 +18,7 @@ from recast.runs.report import report_run
 from recast.runs.rollouts import announce_planner, require_distinct_planners
 from recast.runs.run_folder import METRICS_FILE, REPLAY_FILE, REPORT_FOLDER, STORE_FOLDER, RunFolder
 from recast.runs.scores import RunTrust, read_metrics, write_metrics
-from recast.runs.sources import RECIPES, SourceLog, Sources
+from recast.runs.sources import RECIPES, SourceLog, Sources, require_track
 from recast.runs.view import view_inputs
 from recast.simulation import prepare
 from recast.simulation.restoring import make_restorer
@@ -50,7 +50,7 @@ def run(
     place = str(out.absolute().parent / STORE_FOLDER if store is None else store)
     source = SourceLog.open(log_path)
     # What cannot work is refused before anything is written and before minutes of training.
-    source.require(config.track)
+    require_track(source.log, source.path, config.track)
     if any(arm.needs_world for arm in config.arms):
         _ = source.world
     sources = Sources.of(config, source.log.name)

@@ -83,19 +83,16 @@ class SourceLog:
         require_embree()
         return world_of(self.log)
 
-    def require(self, track: str) -> None:
-        """Refuse a track that the log lacks.
 
-        Raises:
-            InputError: lists those that it has.
-        """
-        if track not in self.log.tracks:
-            raise InputError(
-                self.path,
-                f"track {track}",
-                "is not in the log",
-                f"choose one of {', '.join(self.log.tracks)}",
-            )
+def require_track(log: DrivingLog, path: Path, track: str) -> None:
+    """Refuse a track that a log folder lacks.
+
+    Raises:
+        InputError: lists the tracks that it has.
+    """
+    if track not in log.tracks:
+        mend = f"choose one of {', '.join(log.tracks)}"
+        raise InputError(path, f"track {track}", "is not in the log", mend)
 
 
 def drive_log(

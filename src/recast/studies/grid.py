@@ -35,6 +35,7 @@ from recast.reconstruction.config import SceneConfig
 from recast.reconstruction.views import modelled_tracks
 from recast.runs.config import RunConfig, given, resolve_config
 from recast.runs.run_folder import claim_empty, first_difference
+from recast.runs.sources import require_track
 from recast.simulation import camera_mounts
 from recast.synthetic import SCENES
 
@@ -145,10 +146,7 @@ def _recorded(path: Path, track: str) -> BenchScene:
     log = read_log(path)
     if track == AUTO_TRACK:
         track = choose_target(log)
-    if track not in log.tracks:
-        raise InputError(
-            path, f"track {track}", "is not in the log", f"choose one of {', '.join(log.tracks)}"
-        )
+    require_track(log, path, track)
     return BenchScene(folder_name(f"{log.name}-{track}"), log=path, track=track)
 
 

@@ -43,6 +43,9 @@ from recast.studies.scene_run import (
     scene_rows,
 )
 
+_LOG = logging.getLogger(__name__)
+
+_FINISHED = "finished artefacts"
 Cell = tuple[str, str, str]
 """Motion, planner and arm of a rollout."""
 
@@ -263,11 +266,6 @@ def _sum(rollouts: Iterable[RolloutTimes]) -> dict[str, Any]:
         "parts": {name: round(seconds[name], 2) for name in PARTS},
         "shares": {name: round(seconds[name] / total, 4) if total else None for name in PARTS},
     }
-
-
-_LOG = logging.getLogger(__name__)
-
-_FINISHED = "finished artefacts"
 
 
 def _start(
