@@ -104,7 +104,7 @@ def evaluate_and_print(
 
     Args:
         workers: processes that render the truth; 0 for one for each core.
-        shifts: also views from beside the drive, `recast.scene.SHIFTS`: against the truth where the
+        shifts: also views from beside the drive, `recast.reconstruction.SHIFTS`: against the truth where the
             log is synthetic, else as pictures alone.
 
     Raises:

@@ -43,7 +43,7 @@ _LEAST_LIT = 0.02  # display value
 
 
 class ActorLight:
-    """What is needed to light a vehicle anew: a `recast.scene.street_scene.Lighting`.
+    """What is needed to light a vehicle anew: a `recast.scene.actor.Lighting`.
 
     Args:
         scene: light of the street.
