@@ -14,8 +14,7 @@ from recast.runs.arms import Arm
 from recast.runs.artefacts import Artefacts
 from recast.runs.renderers import Renderers
 from recast.simulation import SimState
-from recast.simulation.camera_noise import jittered
-from recast.simulation.oracle_renderer import OracleRenderer
+from recast.simulation.oracle_renderer import OracleRenderer, jittered
 from recast.simulation.scene_renderer import SceneRenderer
 from recast.synthetic.rig import make_rig
 from recast.synthetic.world import World

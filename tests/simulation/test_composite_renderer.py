@@ -14,8 +14,11 @@ from recast.logs import Trajectory
 from recast.scene.sky import SkyMap
 from recast.scene.street_scene import SceneActor, StreetScene
 from recast.simulation import SimState
-from recast.simulation.composite_renderer import GeneratedVehicleRenderer, TrueVehicleRenderer
-from recast.simulation.oracle_renderer import OracleRenderer
+from recast.simulation.oracle_renderer import (
+    GeneratedVehicleRenderer,
+    OracleRenderer,
+    TrueVehicleRenderer,
+)
 from recast.simulation.scene_renderer import SceneRenderer
 from recast.splats import Gaussians
 from recast.synthetic.oracle import Oracle

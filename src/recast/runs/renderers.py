@@ -14,7 +14,7 @@ from recast.cameras import CameraMount
 from recast.runs.arms import Arm
 from recast.scene import StreetScene
 from recast.simulation import SensorRenderer
-from recast.simulation.restoring import RestoringRenderer, make_restorer
+from recast.simulation.renderer import RestoringRenderer, make_restorer
 from recast.simulation.scene_renderer import SceneRenderer, through_lenses
 
 if TYPE_CHECKING:
@@ -104,11 +104,11 @@ class Renderers:
         if not arm.needs_world:
             return SceneRenderer(self.street(arm, tracks), mounts, absent=absent)
         # With the synthetic world, which needs a ray tracer.
-        from recast.simulation.composite_renderer import (
+        from recast.simulation.oracle_renderer import (
             GeneratedVehicleRenderer,
+            OracleRenderer,
             TrueVehicleRenderer,
         )
-        from recast.simulation.oracle_renderer import OracleRenderer
 
         world, pool = self._world_of(), self._oracles
         if arm.reconstructs:
@@ -130,7 +130,7 @@ class Renderers:
     def _disturbed(self, arm: Arm, renderer: SensorRenderer) -> SensorRenderer:
         if arm.noise not in ("grey", "jitter"):
             return renderer
-        from recast.simulation.camera_noise import NoisyRenderer
+        from recast.simulation.oracle_renderer import NoisyRenderer
 
         seed = self._world_of().seed if arm.needs_world else 0
         return NoisyRenderer(renderer, arm.noise, seed)

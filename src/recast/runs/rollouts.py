@@ -40,7 +40,7 @@ from recast.simulation import (
 )
 from recast.simulation.coverage import Meter, RolloutCoverage, rollout_coverage
 from recast.simulation.history import other_poses
-from recast.simulation.restoring import RestoringRenderer
+from recast.simulation.renderer import RestoringRenderer
 from recast.simulation.rollout_files import load_coverage, save_coverage
 
 _LOG = logging.getLogger(__name__)

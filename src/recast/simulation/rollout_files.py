@@ -29,8 +29,7 @@ from recast.core.errors import InputError
 from recast.core.files import atomic_folder, write_json
 from recast.core.records import Record, read_record
 from recast.planning import WAYPOINTS
-from recast.simulation.rollout import EGO_COLUMNS, PATH_COLUMNS, Rollout
-from recast.simulation.state import ControlledActor
+from recast.simulation.rollout import EGO_COLUMNS, PATH_COLUMNS, ControlledActor, Rollout
 from recast.tables import ArrowTable, read_parquet, write_parquet
 
 if TYPE_CHECKING:

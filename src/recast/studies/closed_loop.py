@@ -26,7 +26,7 @@ from recast.runs.planner_cameras import (
     run_mounts,
 )
 from recast.simulation import camera_mount
-from recast.simulation.restoring import make_restorer
+from recast.simulation.renderer import make_restorer
 from recast.studies.grid import RESULTS_FILE, ROLLOUTS_FILE, BenchSettings, begin
 from recast.studies.results import (
     GridResults,
