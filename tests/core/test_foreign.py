@@ -16,7 +16,7 @@ import pytest
 from recast.actors.generate import ActorGenerator, BaseGenerator
 from recast.core.errors import InputError
 from recast.core.foreign import BasePart, _members, lacks, whole
-from recast.envs.rewards import NOTHING, BaseReward, Reward
+from recast.envs.driving_env import NOTHING, BaseReward, Reward
 from recast.planning import BasePlanner, Planner, PlannerAround
 from recast.simulation import (
     ActorMotion,
@@ -28,7 +28,7 @@ from recast.simulation import (
     ScriptMotion,
     SensorRenderer,
 )
-from recast.simulation.restoring import BaseRestorer, Restorer
+from recast.simulation.renderer import BaseRestorer, Restorer
 
 SEAMS: dict[type, type[BasePart]] = {
     Planner: BasePlanner,

@@ -117,7 +117,8 @@ def test_the_library_page_from_log_to_report(log_folder: Path) -> None:
     write_ply(car, Box().generate(None, 0).gaussians)  # type: ignore[arg-type]
     text = text.replace("scene=scene)", f"generator={str(car)!r}, axes='x,z')")
     text = text.replace("gtrs-mini", "idm-follower").replace(
-        'motion("cut-in")}', 'motion("advancing-a")}, steps=10, scale=0.25'
+        'motion("cut-in")}',
+        'motion("advancing-a")}, settings=recast.RolloutSettings(steps=10), scale=0.25',
     )
     text = text.replace('"runs/kitti/report"', repr(str(log_folder.parent / "report")))
     names = run(text, log_folder, {})

@@ -13,8 +13,7 @@ from recast.runs.arms import Arm, parse_arms
 from recast.runs.artefacts import Artefacts
 from recast.runs.rollouts import Renderers
 from recast.simulation import SimState
-from recast.simulation.camera_noise import jittered
-from recast.simulation.oracle_renderer import OracleRenderer
+from recast.simulation.oracle_renderer import OracleRenderer, jittered
 from recast.simulation.scene_renderer import SceneRenderer
 from recast.synthetic.rig import make_rig
 from recast.synthetic.world import World

@@ -20,7 +20,7 @@ from recast.runs.report import facts
 from recast.runs.rollouts import is_failure, make_rollout, read_rollout
 from recast.runs.sources import Sources
 from recast.simulation import MOTIONS, RolloutFailure, RolloutSetup
-from recast.simulation.restoring import Restorer, RestoringRenderer
+from recast.simulation.renderer import Restorer, RestoringRenderer
 from recast.simulation.scene_renderer import SceneRenderer
 from recast_bridges.neuroncap import planner as ncap_planner
 from support.fake_neuroncap import image_of, planning

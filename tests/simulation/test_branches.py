@@ -32,7 +32,7 @@ from recast.simulation import (
     save_rollout,
 )
 from recast.simulation.planner_calls import PlannerCalls, PlannerProcess
-from recast.simulation.restoring import RestoringRenderer
+from recast.simulation.renderer import RestoringRenderer
 from support.synthetic_drives import drive
 
 MOUNTS = {

@@ -15,8 +15,11 @@ from recast.scene.actor import SceneActor
 from recast.scene.sky import SkyMap
 from recast.scene.street_scene import StreetScene
 from recast.simulation import SimState
-from recast.simulation.composite_renderer import GeneratedVehicleRenderer, TrueVehicleRenderer
-from recast.simulation.oracle_renderer import OracleRenderer
+from recast.simulation.oracle_renderer import (
+    GeneratedVehicleRenderer,
+    OracleRenderer,
+    TrueVehicleRenderer,
+)
 from recast.simulation.scene_renderer import SceneRenderer
 from recast.splats import Gaussians
 from recast.synthetic.oracle import Oracle

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from recast.geometry.colour import linear_to_srgb, srgb_to_linear
-from recast.simulation.compositing import (
+from recast.simulation.oracle_renderer import (
     as_image,
     gaussians_in_truth,
     light_left,

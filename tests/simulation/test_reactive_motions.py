@@ -27,8 +27,7 @@ from recast.simulation import (
 )
 from recast.simulation import LoggedMotion as Replay
 from recast.simulation.actor_motion import BaseScript
-from recast.simulation.actors import ReactiveActors
-from recast.simulation.history import History
+from recast.simulation.history import History, ReactiveActors
 from recast.simulation.rollout_start import start_rollout
 from support.synthetic_drives import drive
 

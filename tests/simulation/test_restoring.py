@@ -15,8 +15,7 @@ from recast.arrays import Image
 from recast.cameras import CameraMount
 from recast.core.errors import InputError
 from recast.simulation import MOTIONS, NullRenderer, RolloutSetup, SimState, Simulator
-from recast.simulation.renderer import MountedRenderer
-from recast.simulation.restoring import RestoringRenderer, make_restorer
+from recast.simulation.renderer import MountedRenderer, RestoringRenderer, make_restorer
 from support.tiny_served import CAMERA, MOVING, RIG_FROM_CAMERA, make_log
 
 PLAIN = CameraMount(CAMERA, RIG_FROM_CAMERA)

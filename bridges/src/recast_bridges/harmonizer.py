@@ -14,7 +14,7 @@ from typing import Any
 from recast.arrays import Image
 from recast.core.json_service import JsonService
 from recast.logs.images import decode, encode
-from recast.simulation.restoring import BaseRestorer
+from recast.simulation.renderer import BaseRestorer
 
 SECONDS = 300.0
 """Within which the images of a step must be back."""

@@ -373,9 +373,9 @@ RESTORERS = Registry(
     "restorer",
     "recast.restorers",
     members=("name", "restore"),
-    protocol="recast.simulation.restoring.Restorer",
+    protocol="recast.simulation.renderer.Restorer",
 )
-"""Each is a class or function that makes a `recast.simulation.restoring.Restorer`."""
+"""Each is a class or function that makes a `recast.simulation.renderer.Restorer`."""
 
 GENERATORS = Registry(
     "generator",

@@ -8,7 +8,6 @@ from recast.dynamics.idm import (
     idm_acceleration,
     idm_step,
 )
-from recast.dynamics.profiles import Profile, ProfileWeights, fit_profile
 from recast.dynamics.state import (
     PACIFICA,
     EgoState,
@@ -21,7 +20,10 @@ from recast.dynamics.tracker import (
     PRESETS,
     BicycleModel,
     LqrWeights,
+    Profile,
+    ProfileWeights,
     TrackerConfig,
+    fit_profile,
     follow_perfectly,
     lqr_command,
     plan_to_poses,

@@ -13,8 +13,7 @@ except ImportError:
         "recast.envs", "gymnasium", "is not installed", "pip install 'recast-sim[env]'"
     ) from None
 
-from recast.envs.driving_env import DrivingEnv
-from recast.envs.rewards import BaseReward, ProgressReward, StepFacts
+from recast.envs.driving_env import BaseReward, DrivingEnv, ProgressReward, StepFacts
 
 ENV_ID = "recast/Driving-v0"
 """The id of `DrivingEnv` for `gymnasium.make`."""

@@ -52,7 +52,7 @@ from recast.simulation import (
 )
 from recast.simulation.coverage import Meter, RolloutCoverage, rollout_coverage
 from recast.simulation.history import other_poses
-from recast.simulation.restoring import RestoringRenderer, make_restorer
+from recast.simulation.renderer import RestoringRenderer, make_restorer
 from recast.simulation.rollout_files import load_coverage, save_coverage
 from recast.simulation.scene_renderer import SceneRenderer, through_lenses
 
@@ -201,11 +201,11 @@ class Renderers:
         if not arm.needs_world:
             return SceneRenderer(self.street(arm, tracks), mounts, absent=absent)
         # With the synthetic world, which needs a ray tracer.
-        from recast.simulation.composite_renderer import (
+        from recast.simulation.oracle_renderer import (
             GeneratedVehicleRenderer,
+            OracleRenderer,
             TrueVehicleRenderer,
         )
-        from recast.simulation.oracle_renderer import OracleRenderer
 
         world, pool = self._world_of(), self._oracles
         if arm.reconstructs:
@@ -227,7 +227,7 @@ class Renderers:
     def _disturbed(self, arm: Arm, renderer: SensorRenderer) -> SensorRenderer:
         if arm.noise not in ("grey", "jitter"):
             return renderer
-        from recast.simulation.camera_noise import NoisyRenderer
+        from recast.simulation.oracle_renderer import NoisyRenderer
 
         seed = self._world_of().seed if arm.needs_world else 0
         return NoisyRenderer(renderer, arm.noise, seed)

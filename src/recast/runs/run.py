@@ -21,7 +21,7 @@ from recast.runs.scores import RunTrust, read_metrics, write_metrics
 from recast.runs.sources import RECIPES, SourceLog, Sources, require_track
 from recast.runs.view import view_inputs
 from recast.simulation import prepare
-from recast.simulation.restoring import make_restorer
+from recast.simulation.renderer import make_restorer
 from recast.viewer import require_viser, write_replay
 
 REPLAY_MB = 10.0

@@ -13,7 +13,7 @@ from recast.simulation.actor_motion import (
     ScriptMotion,
     StartSituation,
 )
-from recast.simulation.actors import PreparedActor, PreparedRollout, prepare
+from recast.simulation.history import PreparedActor, PreparedRollout, prepare
 from recast.simulation.motions import (
     Advancing,
     CutIn,
@@ -22,12 +22,6 @@ from recast.simulation.motions import (
     Oncoming,
     Stationary,
     TimedPath,
-)
-from recast.simulation.plan_execution import (
-    BaseController,
-    EgoController,
-    LqrController,
-    PerfectController,
 )
 from recast.simulation.planner_calls import PlannerProcess
 from recast.simulation.recorded_road import Ending, RoadSurface
@@ -43,8 +37,12 @@ from recast.simulation.renderer import (
 from recast.simulation.rollout import (
     EGO_COLUMNS,
     PATH_COLUMNS,
+    ControlledActor,
     Rollout,
     RolloutFailure,
+    RolloutOrigin,
+    SimActor,
+    SimState,
     ego_centre,
 )
 from recast.simulation.rollout_files import load_rollout, save_rollout
@@ -64,11 +62,25 @@ from recast.simulation.scenario import (
     scenario_numbers,
     target_motion,
 )
-from recast.simulation.scenario_file import motion_of_record, read_scenario, scenario_record
-from recast.simulation.scenario_names import MOTIONS, motion, parse_motions, scenario_name
-from recast.simulation.setup import RolloutSettings, RolloutSetup, make_setup
+from recast.simulation.scenario_file import (
+    MOTIONS,
+    motion,
+    motion_of_record,
+    parse_motions,
+    read_scenario,
+    scenario_name,
+    scenario_record,
+)
+from recast.simulation.setup import (
+    BaseController,
+    EgoController,
+    LqrController,
+    PerfectController,
+    RolloutSettings,
+    RolloutSetup,
+    make_setup,
+)
 from recast.simulation.simulator import Observation, OnFrame, Simulator, Timings
-from recast.simulation.state import ControlledActor, RolloutOrigin, SimActor, SimState
 
 __all__ = [
     "EGO_COLUMNS",

@@ -1,21 +1,29 @@
-"""The sensor renderer over a synthetic world: what the cameras would truly see."""
+"""Renderers over a synthetic world: the truth, half truth with half reconstruction, and noise."""
 
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple
 
+import cv2
 import numpy as np
+from numpy.typing import NDArray
 
-from recast.arrays import Array, Image
+from recast.arrays import Array, Float32Array, Image
 from recast.cameras import CameraMount, PinholeCamera
 from recast.core.workers import Closing
-from recast.simulation.renderer import MountedRenderer
-from recast.simulation.state import SimState
+from recast.geometry import se3
+from recast.geometry.colour import linear_to_srgb, srgb_to_linear
+from recast.scene.render import SceneRasterizer
+from recast.scene.street_scene import StreetScene
+from recast.simulation.renderer import MountedRenderer, RendererAround, SensorRenderer
+from recast.simulation.rollout import SimState
+from recast.simulation.scene_renderer import SceneRenderer
+from recast.splats import RasterImages
+from recast.synthetic import World
 from recast.synthetic.oracle import Oracle, OraclePool
 from recast.synthetic.rendering import CameraFrame
 from recast.synthetic.rig import exposure, sensor_number
-from recast.synthetic.world import World
 
 _STREAM = 701
 
@@ -124,3 +132,278 @@ class OracleRenderer(WorldRenderer):
 
 def _render(oracle: Oracle, view: TrueView) -> Image:
     return view.seen_by(oracle, absent=view.tracks).rgb
+
+
+_BLUR = 1.0  # pixels, standard deviation: ray noise is that of single pixels
+_DARK = np.float32(2e-3)  # linear light below which a ratio of two images is that of their rounding
+_NEARER = 0.3, 0.02  # metres, and share of the depth, by which a street must be nearer to hide
+
+
+# Colours of the functions below are display values in [0, 1] unless the text says that they are
+# linear light.
+
+
+def as_image(display: NDArray[np.floating]) -> Image:
+    """Display values (H, W, 3) as uint8."""
+    return (np.clip(display, 0, 1) * 255).round().astype(np.uint8)
+
+
+def light_left(beside: Image, without: Image) -> Float32Array:
+    """Share (H, W, 3) of the linear light of a street that a vehicle leaves, or adds.
+
+    Both images are blurred by a pixel, which hides the noise of their rays. The share is exactly 1
+    where they are the same.
+
+    Args:
+        beside: (H, W, 3) uint8 the street with what the vehicle shades and mirrors, the vehicle
+            itself not seen.
+        without: (H, W, 3) uint8 the same view without the vehicle.
+    """
+    both = (srgb_to_linear(image.astype(np.float32) / 255) for image in (beside, without))
+    with_it, without_it = (cv2.GaussianBlur(one.astype(np.float32), (0, 0), _BLUR) for one in both)
+    return (with_it + _DARK) / (without_it + _DARK)
+
+
+def shaded(street: Float32Array, left: Float32Array) -> Float32Array:
+    """A street (H, W, 3) of whose linear light the share `left` (H, W, 3) is left."""
+    dark = linear_to_srgb(srgb_to_linear(street) * left)
+    return np.where(left == 1, street, dark).astype(np.float32)
+
+
+def vehicle_in_street(
+    street: Float32Array,
+    front: Float32Array,
+    front_alpha: Float32Array,
+    vehicle: Image,
+    alpha: Float32Array,
+) -> Float32Array:
+    """A traced vehicle in a street of Gaussians, (H, W, 3).
+
+    Where the vehicle covers a part of a pixel, its light and the street's are added.
+
+    Args:
+        street: (H, W, 3) all of the street.
+        front: (H, W, 3) the part of the street that is nearer than the vehicle, premultiplied.
+        front_alpha: (H, W) opacity of that part.
+        vehicle: (H, W, 3) uint8 the vehicle alone, not mixed with anything.
+        alpha: (H, W) share of the pixel that it covers.
+    """
+    shown = front + (1 - front_alpha[..., None]) * (vehicle.astype(np.float32) / 255)
+    light = (1 - alpha[..., None]) * srgb_to_linear(street)
+    light += alpha[..., None] * srgb_to_linear(np.clip(shown, 0, 1))
+    return np.where(alpha[..., None] > 0, linear_to_srgb(light), street).astype(np.float32)
+
+
+def gaussians_in_truth(
+    truth: Image,
+    truth_depth: Float32Array,
+    layer: Float32Array,
+    depth: Float32Array,
+    alpha: Float32Array,
+) -> Image:
+    """Gaussians in front of a traced image, (H, W, 3) uint8; hidden where the street is nearer.
+
+    The street hides them only where it is nearer by more than 0.3 m and 2 % of the depth: a shadow
+    lies on the road.
+
+    Args:
+        truth: (H, W, 3) uint8 the true image.
+        truth_depth: (H, W) depth of the truth at the pixel centres, metres; infinite for the sky.
+        layer: (H, W, 3) colour of the Gaussians, premultiplied.
+        depth: (H, W) sum of T alpha z of the Gaussians, metres.
+        alpha: (H, W) opacity of the Gaussians.
+    """
+    metres, share = _NEARER
+    own = depth / np.maximum(alpha, np.float32(1e-6))
+    shown = (alpha > 0) & (own - metres - share * own <= truth_depth)
+    mixed = layer + (1 - alpha[..., None]) * (truth.astype(np.float32) / 255)
+    return np.where(shown[..., None], as_image(mixed), truth)
+
+
+_CLEARANCE_M = 0.5
+"""What is to hide a vehicle is nearer than its nearest point by that: splats of the road at its
+wheels are large."""
+
+
+class _TrueParts(NamedTuple):
+    """What a true vehicle brings into an image.
+
+    Attributes:
+        left: (H, W, 3) see `light_left`.
+        vehicles: each alone, the farthest first.
+    """
+
+    left: Float32Array
+    vehicles: list[CameraFrame]
+
+
+class TrueVehicleRenderer(WorldRenderer):
+    """The true vehicles of some tracks in a reconstructed street, with their true light and shadow.
+
+    Together with `GeneratedVehicleRenderer`, its reverse, it tells what a wrong verdict is made of:
+    the street or the vehicle.
+
+    The street's Gaussians hide a vehicle where their centres are nearer than its nearest point.
+
+    Args:
+        world: see `WorldRenderer`, as for `mounts`, `workers` and `pool`.
+        scene: the street; its own models of the tracks are left out.
+        tracks: tracks whose vehicles are the true ones.
+    """
+
+    def __init__(
+        self,
+        world: World,
+        scene: StreetScene,
+        mounts: Mapping[str, CameraMount],
+        workers: int = 0,
+        *,
+        tracks: Collection[str],
+        pool: OraclePool | None = None,
+    ) -> None:
+        super().__init__(world, mounts, workers, tracks=tracks, pool=pool)
+        self._street = SceneRenderer(scene, mounts, absent=tracks)
+
+    def render(self, state: SimState, camera_names: Sequence[str]) -> dict[str, Image]:
+        """Render the street with its actors and the true vehicles at the poses of `state`.
+
+        Raises:
+            InputError: the world has no such vehicle, or the scene no model of another actor.
+        """
+        views = self.views(state, camera_names)
+        parts = self._pool.map(_true_parts, views)
+        poses, time = self._street.poses(state), state.timestamp_us
+        return {
+            view.name: self._mounts[view.name].masked(self._composed(view, part, poses, time))
+            for view, part in zip(views, parts, strict=True)
+        }
+
+    def _composed(
+        self, view: TrueView, parts: _TrueParts, poses: Mapping[str, Array], time: int
+    ) -> Image:
+        camera, camera_from_world = view.camera, se3.inverse(view.world_from_camera)
+        rasterizer = self._street.rasterizer
+        drawn = rasterizer.draw(camera, camera_from_world, poses, shapes_us=time)
+        image = shaded(drawn.rgb.cpu().numpy(), parts.left)
+        for vehicle in parts.vehicles:
+            nearest = float(vehicle.depth.min()) - _CLEARANCE_M
+            front = rasterizer.layer(
+                camera, camera_from_world, poses, shapes_us=time, nearer_than=max(nearest, 0.3)
+            )
+            rgb, alpha, _ = _arrays(front)
+            image = vehicle_in_street(image, rgb, alpha, vehicle.rgb, vehicle.alpha)
+        return as_image(image)
+
+
+def _true_parts(oracle: Oracle, view: TrueView) -> _TrueParts:
+    beside = view.seen_by(oracle, hidden=view.tracks)
+    without = view.seen_by(oracle, absent=view.tracks)
+    alone = [view.seen_by(oracle, alone=(track,)) for track in view.tracks]
+    seen = [frame for frame in alone if np.isfinite(frame.depth).any()]
+    seen.sort(key=lambda frame: -float(frame.depth.min()))
+    return _TrueParts(light_left(beside.rgb, without.rgb), seen)
+
+
+class GeneratedVehicleRenderer(WorldRenderer):
+    """The Gaussians of some tracks' vehicles, with their shadows, in the true street.
+
+    Args:
+        world: see `WorldRenderer`, as for `mounts`, `workers` and `pool`.
+        scene: has the vehicles as actors, which bring their light; its street is not drawn.
+        tracks: tracks whose vehicles are those of the scene.
+    """
+
+    def __init__(
+        self,
+        world: World,
+        scene: StreetScene,
+        mounts: Mapping[str, CameraMount],
+        workers: int = 0,
+        *,
+        tracks: Collection[str],
+        pool: OraclePool | None = None,
+    ) -> None:
+        super().__init__(world, mounts, workers, tracks=tracks, pool=pool)
+        self._rasterizer = SceneRasterizer(scene)
+
+    def render(self, state: SimState, camera_names: Sequence[str]) -> dict[str, Image]:
+        """Render the world, and the vehicles of the scene at the poses of `state`.
+
+        Raises:
+            InputError: the world has no such vehicle.
+            KeyError: the scene has no such actor.
+        """
+        views = self.views(state, camera_names)
+        frames = self._pool.map(_street_alone, views)
+        poses = {track: pose for track, pose in state.poses.items() if track in self._tracks}
+        images = {}
+        for view, frame in zip(views, frames, strict=True):
+            camera_from_world = se3.inverse(view.world_from_camera)
+            layer = self._rasterizer.layer(
+                view.camera, camera_from_world, poses, shapes_us=state.timestamp_us, street=False
+            )
+            rgb, alpha, depth = _arrays(layer)
+            image = gaussians_in_truth(frame.rgb, frame.depth, rgb, depth, alpha)
+            images[view.name] = self._mounts[view.name].masked(image)
+        return images
+
+
+def _street_alone(oracle: Oracle, view: TrueView) -> CameraFrame:
+    return view.seen_by(oracle, absent=view.tracks)
+
+
+def _arrays(drawn: RasterImages) -> tuple[Float32Array, Float32Array, Float32Array]:
+    """Colour, opacity and depth, see `RasterImages`."""
+    return drawn.rgb.cpu().numpy(), drawn.alpha.cpu().numpy(), drawn.depth.cpu().numpy()
+
+
+ImageNoise = Literal["grey", "jitter"]
+_STREAM = 702
+
+
+class NoisyRenderer(RendererAround):
+    """Images of another renderer, disturbed by less than a planner may depend on.
+
+    A planner whose verdict changes cannot agree better with the truth than with itself.
+
+    Args:
+        noise: "grey" (see `grey_noise`; another draw for each camera and step) or "jitter" (see
+            `jittered`).
+        seed: seed of the draws.
+    """
+
+    def __init__(self, renderer: SensorRenderer, noise: ImageNoise, seed: int) -> None:
+        super().__init__(renderer)
+        self._noise, self._seed = noise, seed
+
+    def render(self, state: SimState, camera_names: Sequence[str]) -> dict[str, Image]:
+        """Images of the named cameras; raises what the inner renderer raises."""
+        images = self.part.render(state, camera_names)
+        if self._noise == "jitter":
+            return {name: self._jittered(name, image) for name, image in images.items()}
+        return {
+            name: grey_noise(image, np.random.default_rng(self._number(name, state.step)))
+            for name, image in images.items()
+        }
+
+    def _jittered(self, name: str, image: Image) -> Image:
+        """Of a camera with a window, what lies in it."""
+        mount = self.mounts[name]
+        return mount.framed(jittered(mount.windowed(image)))
+
+    def _number(self, camera: str, step: int) -> list[int]:
+        return [self._seed, _STREAM, sensor_number(camera), step]
+
+
+def grey_noise(image: Image, rng: np.random.Generator) -> Image:
+    """The image (H, W, 3) uint8 with each pixel one grey level up or down, its channels together.
+
+    Black stays black when it goes down, and white stays white when it goes up.
+    """
+    step = 2 * rng.integers(0, 2, (*image.shape[:2], 1), np.int16) - 1
+    return np.clip(image.astype(np.int16) + step, 0, 255).astype(np.uint8)
+
+
+def jittered(image: Image) -> Image:
+    """The image (H, W, 3) one pixel to the right, its left edge repeated."""
+    return np.concatenate([image[:, :1], image[:, :-1]], axis=1)

@@ -30,8 +30,7 @@ from recast.core.files import atomic_folder, write_json
 from recast.core.records import Record, read_record
 from recast.core.table_files import ArrowTable, read_parquet, write_parquet
 from recast.planning import WAYPOINTS
-from recast.simulation.rollout import EGO_COLUMNS, PATH_COLUMNS, Rollout
-from recast.simulation.state import ControlledActor
+from recast.simulation.rollout import EGO_COLUMNS, PATH_COLUMNS, ControlledActor, Rollout
 
 if TYPE_CHECKING:
     from recast.simulation.coverage import RolloutCoverage

@@ -16,12 +16,11 @@ from recast.geometry import se2
 from recast.logs.types import DrivingLog, Track, Trajectory
 from recast.planning import BasePlanner, Planner, looked_at, planner_cameras
 from recast.simulation.motions import Stationary
-from recast.simulation.plan_execution import EgoController, LqrController
 from recast.simulation.planner_calls import PlannerCalls, PlannerProcess, calling
 from recast.simulation.recorded_road import refuse_if_too_short
 from recast.simulation.renderer import SensorRenderer
 from recast.simulation.rollout import Rollout, RolloutFailure
-from recast.simulation.setup import RolloutSetup
+from recast.simulation.setup import EgoController, LqrController, RolloutSetup
 from recast.simulation.simulator import OnFrame, Simulator, Timings
 
 TRACEBACK_LIMIT = 8000

@@ -17,7 +17,7 @@ from recast.geometry import se3
 from recast.scene.render import SceneRasterizer
 from recast.scene.street_scene import StreetScene
 from recast.simulation.renderer import BaseRenderer, MountedRenderer, SensorRenderer
-from recast.simulation.state import SimState
+from recast.simulation.rollout import SimState
 from recast.splats import Window
 
 

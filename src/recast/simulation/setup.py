@@ -1,24 +1,34 @@
-"""What a rollout is asked to be: settings, log, actors and their motions; and its renderer."""
+"""What a rollout is asked to be: settings, log, motions, controller and renderer."""
 
 from __future__ import annotations
 
 import math
 import os
+from abc import abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Protocol
 
+from recast.arrays import Array
 from recast.core.arguments import check_fields
 from recast.core.errors import InputError
-from recast.core.foreign import lacks, whole
+from recast.core.foreign import BasePart, lacks, whole
 from recast.core.plugins import SCENES
-from recast.dynamics import PACIFICA, VehicleParameters
+from recast.dynamics import (
+    PACIFICA,
+    PRESETS,
+    TrackerConfig,
+    VehicleParameters,
+    follow_perfectly,
+    plan_to_poses,
+    track,
+)
+from recast.dynamics import state as ego
 from recast.logs.hdmap import HdMap
 from recast.logs.types import DrivingLog, Track
-from recast.planning import WAYPOINTS
+from recast.planning import WAYPOINTS, PlanningContext
 from recast.simulation.actor_motion import AnyMotion, BaseMotion, whole_motion
-from recast.simulation.plan_execution import BaseController, EgoController, LqrController
 from recast.simulation.renderer import BaseRenderer, SensorRenderer, camera_mounts
 from recast.simulation.scenario import (
     Scenario,
@@ -26,10 +36,73 @@ from recast.simulation.scenario import (
     replaced_tracks,
     target_motion,
 )
-from recast.simulation.scenario_names import motion, scenario_name
+from recast.simulation.scenario_file import motion, scenario_name
 
 if TYPE_CHECKING:
     from recast.scene.street_scene import StreetScene
+
+
+class EgoController(Protocol):
+    """Executes the first waypoints of a plan; what it is given is read-only.
+
+    This method is enough; `BaseController` has all others, with their defaults.
+    """
+
+    def execute(
+        self, state: Array, waypoints: Array, steps: int, vehicle: VehicleParameters, dt: float
+    ) -> Array:
+        """Ego states (steps + 1, 11), the given one (11,) first.
+
+        Args:
+            waypoints: (40, 3) waypoints in the ego frame of `state`, `dt` apart.
+            steps: how many steps to execute.
+            vehicle: the ego.
+            dt: seconds per step, and between waypoints.
+        """
+
+
+class BaseController(BasePart):
+    """An `EgoController` with all members that are asked for: derive yours from it."""
+
+    def reset(self, context: PlanningContext) -> None:
+        """Forget the last rollout and prepare for the next."""
+
+    @abstractmethod
+    def execute(
+        self, state: Array, waypoints: Array, steps: int, vehicle: VehicleParameters, dt: float
+    ) -> Array:
+        """Ego states (steps + 1, 11), see `EgoController`."""
+
+
+@dataclass(frozen=True)
+class LqrController(BaseController):
+    """nuPlan's LQR tracker and kinematic bicycle with actuator lag.
+
+    The paper says that the ego controller executes the first K waypoints, not which controller it
+    is. We take the tracker of the benchmark that the published planners were made for.
+    """
+
+    config: TrackerConfig = PRESETS["default"]
+
+    def execute(
+        self, state: Array, waypoints: Array, steps: int, vehicle: VehicleParameters, dt: float
+    ) -> Array:
+        """Fit the plan's profiles once and track them; see `recast.dynamics.track`."""
+        poses = plan_to_poses(state[ego.POSE], waypoints)
+        return track(state, poses, steps, self.config, vehicle, dt)
+
+
+@dataclass(frozen=True)
+class PerfectController(BaseController):
+    """Puts the ego onto the waypoints: shows what the plans alone would do."""
+
+    def execute(
+        self, state: Array, waypoints: Array, steps: int, vehicle: VehicleParameters, dt: float
+    ) -> Array:
+        """Jump from waypoint to waypoint; speeds and rates are their differences."""
+        poses = plan_to_poses(state[ego.POSE], waypoints)
+        return follow_perfectly(state, poses, steps, vehicle, dt)
+
 
 _DT = (0.05, 0.2)
 """Seconds per step, within which 40 waypoints reach 2 to 8 s: the tracker looks 1 s ahead, and no

@@ -25,17 +25,20 @@ from recast.logs.types import DrivingLog
 from recast.planning import Plan, PlannerInput, PlanningContext
 from recast.planning.cameras import require_cameras
 from recast.simulation.actor_motion import AnyMotion
-from recast.simulation.actors import ReactiveActors
-from recast.simulation.history import History
-from recast.simulation.plan_execution import BaseController
+from recast.simulation.history import History, ReactiveActors
 from recast.simulation.planner_calls import checked_plan
 from recast.simulation.recorded_road import Ending, RecordedRoad
 from recast.simulation.renderer import SensorRenderer
-from recast.simulation.rollout import Rollout
+from recast.simulation.rollout import Rollout, SimState
 from recast.simulation.rollout_start import start_rollout
 from recast.simulation.scenario import Scenario
-from recast.simulation.setup import RolloutSettings, RolloutSetup, as_renderer, make_setup
-from recast.simulation.state import SimState
+from recast.simulation.setup import (
+    BaseController,
+    RolloutSettings,
+    RolloutSetup,
+    as_renderer,
+    make_setup,
+)
 
 if TYPE_CHECKING:
     from recast.scene.street_scene import StreetScene

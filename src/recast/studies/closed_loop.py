@@ -29,7 +29,7 @@ from recast.runs.rollouts import (
     run_mounts,
 )
 from recast.simulation import camera_mount
-from recast.simulation.restoring import make_restorer
+from recast.simulation.renderer import make_restorer
 from recast.studies.grid import (
     BENCH_FORMAT,
     BENCH_VERSION,

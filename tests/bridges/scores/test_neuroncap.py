@@ -7,7 +7,7 @@ import pytest
 
 from metrics.rollouts import make_rollout
 from recast.geometry import se2
-from recast.simulation.state import ControlledActor
+from recast.simulation.rollout import ControlledActor
 from recast_bridges.scores.neuroncap import neuroncap_mean, neuroncap_score
 
 

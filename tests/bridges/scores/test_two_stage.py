@@ -10,7 +10,7 @@ import pytest
 
 from metrics.rollouts import straight_plans
 from recast.dynamics import state
-from recast.planning.map_from_log import planner_map
+from recast.planning.map import planner_map
 from recast.planning.pdm import ExtendedScores
 from recast_bridges.scores.epdms import PlanScore, PlanSituation, human_filtered
 from recast_bridges.scores.submission import SubmittedScene, TokenScore, score_scene

@@ -13,7 +13,7 @@ from recast.geometry import se2
 from recast.logs.hdmap import HdMap, Lane
 from recast.logs.types import Trajectory
 from recast.planning import ReferenceRoute
-from recast.planning.map_from_log import continued_route, planner_map, route_blocks, with_headings
+from recast.planning.map import continued_route, planner_map, route_blocks, with_headings
 
 HALF = 1.75
 

@@ -11,9 +11,9 @@ from recast.dynamics import state as ego
 from recast.geometry import se2
 from recast.planning.map import PlannerLane, PlannerMap
 from recast.planning.pdm import Centreline, PdmClosed, PdmConfig, PdmPlan, forecast
-from recast.planning.pdm.areas import ego_areas
 from recast.planning.pdm.forecast import box_corners, outline
 from recast.planning.pdm.proposals import brake_plan, brakes
+from recast.planning.pdm.scorer import ego_areas
 
 QUIRKS = {"quirks": PdmConfig(reference_quirks=True), "sane": PdmConfig()}
 MOTION = np.array([310.0, -125.0, 2.1])

@@ -9,9 +9,8 @@ from recast.dynamics import state as ego
 from recast.geometry import boxes
 from recast.geometry.boxes import bev_touching
 from recast.planning.pdm import AgentKind, Forecast
-from recast.planning.pdm.areas import EgoAreas
 from recast.planning.pdm.forecast import box_corners
-from recast.planning.pdm.scorer import at_fault_collisions, time_to_collision
+from recast.planning.pdm.scorer import EgoAreas, at_fault_collisions, time_to_collision
 from recast_tools.planner_training.evaluate import true_scores
 from recast_tools.planner_training.targets import (
     FORESEEN,

@@ -14,7 +14,7 @@ from recast.core.workers import Closing
 from recast.geometry import se3
 from recast.logs.images import decode
 from recast.simulation.renderer import MountedRenderer
-from recast.simulation.state import SimState
+from recast.simulation.rollout import SimState
 from recast_bridges.alpasim.calls import ServiceClient
 from recast_bridges.alpasim.cameras import camera_message
 from recast_bridges.alpasim.messages import (

@@ -11,8 +11,8 @@ from numpy.typing import ArrayLike
 from recast.arrays import Array, Int64Array
 from recast.geometry import se2
 from recast.logs.checks import LATEST_US
-from recast.planning.splines import spline_through
 from recast_bridges.alpasim.poses import read_pose
+from recast_bridges.splines import spline_through
 
 _NEAR = 5.0
 """Metres from the ego at which a plan may begin: more is another frame."""

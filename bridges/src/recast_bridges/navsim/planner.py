@@ -14,7 +14,6 @@ from recast.cameras import CameraMount
 from recast.core.errors import InputError
 from recast.core.plugins import PLANNERS, code_source
 from recast.planning.cameras import require_cameras
-from recast.planning.splines import spline_through
 from recast.planning.types import (
     WAYPOINTS,
     BasePlanner,
@@ -24,6 +23,7 @@ from recast.planning.types import (
 )
 from recast_bridges.navsim.agent_input import InputBuilder, navsim_classes
 from recast_bridges.navsim.types import HISTORY_FRAMES, NAVSIM_CAMERAS, rig_cameras
+from recast_bridges.splines import spline_through
 
 _SAME_TIME = 1e-6
 

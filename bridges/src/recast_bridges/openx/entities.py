@@ -16,9 +16,9 @@ from recast.core.errors import InputError
 from recast.geometry import se3
 from recast.logs import DrivingLog
 from recast.simulation.actor_motion import BaseScript
-from recast.simulation.actors import prepare
+from recast.simulation.history import prepare
 from recast.simulation.rollout import Rollout
-from recast.simulation.scenario_names import scenario_name
+from recast.simulation.scenario_file import scenario_name
 from recast.simulation.setup import RolloutSetup
 
 EGO_HEIGHT = 1.777

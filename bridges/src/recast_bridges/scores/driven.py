@@ -16,8 +16,7 @@ from recast.logs.hdmap import HdMap
 from recast.metrics.driving import any_collision, realised_future
 from recast.metrics.rollout_metrics import rollout_actors, rollout_collisions
 from recast.metrics.table import Metric, invalid
-from recast.planning.map import PlannerMap
-from recast.planning.map_from_log import continued_route, planner_map, route_blocks
+from recast.planning.map import PlannerMap, continued_route, planner_map, route_blocks
 from recast.planning.pdm import ExtendedScores, Obstacle, extended_comfort
 from recast.planning.pdm.extended import LONGEST_INTERVAL, STEPS
 from recast.planning.route import ReferenceRoute

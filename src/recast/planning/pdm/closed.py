@@ -17,8 +17,7 @@ from recast.core.errors import InputError
 from recast.dynamics import PACIFICA, VehicleParameters, track
 from recast.dynamics import state as ego
 from recast.geometry import se2
-from recast.planning.map import PlannerLane, PlannerMap
-from recast.planning.map_from_log import continued_route, planner_map, route_blocks
+from recast.planning.map import PlannerLane, PlannerMap, continued_route, planner_map, route_blocks
 from recast.planning.pdm.centreline import (
     Centreline,
     repair_route,

@@ -18,10 +18,14 @@ from recast.dynamics import PACIFICA, VehicleParameters
 from recast.dynamics import state as ego
 from recast.dynamics.comfort import NUPLAN_LIMITS, check, savgol_signals
 from recast.planning.map import PlannerMap
-from recast.planning.pdm.areas import ego_areas
 from recast.planning.pdm.centreline import Centreline
 from recast.planning.pdm.forecast import Forecast, box_centres, box_corners
-from recast.planning.pdm.scorer import at_fault_collisions, graded_direction, time_to_collision
+from recast.planning.pdm.scorer import (
+    at_fault_collisions,
+    ego_areas,
+    graded_direction,
+    time_to_collision,
+)
 
 STEPS = 40
 """Steps of 0.1 s of a proposal."""

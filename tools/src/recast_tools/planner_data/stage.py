@@ -11,7 +11,7 @@ from recast.dynamics import PACIFICA
 from recast.geometry import se2
 from recast.logs import DrivingLog
 from recast.planning import ReferenceRoute
-from recast.planning.map_from_log import planner_map, route_blocks
+from recast.planning.map import planner_map, route_blocks
 from recast.planning.pdm import Centreline
 from recast.simulation import Advancing, CutIn, Oncoming, RoadSurface, StartSituation, Stationary
 from recast.simulation.actor_motion import DEFAULT_LANE_OFFSET, ScriptMotion, neighbour_lateral

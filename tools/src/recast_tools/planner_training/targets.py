@@ -24,9 +24,8 @@ from recast.planning.gtrs.head import METRICS
 from recast.planning.gtrs.scores import Trajectories
 from recast.planning.map import PlannerMap
 from recast.planning.pdm import Centreline
-from recast.planning.pdm.areas import ego_areas
 from recast.planning.pdm.forecast import box_centres, box_corners
-from recast.planning.pdm.scorer import direction_compliance
+from recast.planning.pdm.scorer import direction_compliance, ego_areas
 from recast.planning.types import WAYPOINTS
 
 FORESEEN = WAYPOINTS + 9
