@@ -26,7 +26,7 @@ from starlette.responses import JSONResponse, Response
 from starlette.routing import Route
 
 from recast.cameras import CameraMount, PinholeCamera
-from recast.core.json_service import JsonService
+from recast_bridges.json_service import JsonService
 from recast.core.web_server import WebServer
 from recast.dynamics import make_state
 from recast.geometry import Polyline, se3

@@ -15,13 +15,13 @@ import numpy as np
 import pytest
 
 from recast.cli.main import main
-from recast.core.json_service import JsonService
 from recast.logs import DrivingLog
 from recast.runs.run_folder import RUN_FILE
 from recast.scene import StreetScene
 from recast.scene.store import save_scene
 from recast.viewer import ViewInputs
 from recast_bridges import serve
+from recast_bridges.json_service import JsonService
 from recast_bridges.serve import ServeRequest, served_scenes
 from support.tiny_served import make_log, make_scene
 

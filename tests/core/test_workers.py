@@ -15,8 +15,7 @@ import pytest
 from recast.core import diagnostics
 from recast.core.diagnostics import Diagnostics
 from recast.core.errors import InputError
-from recast.core.ray_cluster import worker_pool
-from recast.core.workers import WorkerPool, in_processes, in_this_process, usable_cores
+from recast.core.workers import WorkerPool, in_processes, in_this_process, usable_cores, worker_pool
 
 
 def start(number: int, factor: int) -> Callable[[int], int]:

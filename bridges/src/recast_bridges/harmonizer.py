@@ -12,9 +12,9 @@ from collections.abc import Mapping
 from typing import Any
 
 from recast.arrays import Image
-from recast.core.json_service import JsonService
 from recast.logs.images import decode, encode
 from recast.simulation.renderer import BaseRestorer
+from recast_bridges.json_service import JsonService
 
 SECONDS = 300.0
 """Within which the images of a step must be back."""

@@ -22,8 +22,8 @@ import numpy as np
 from recast.core import files
 from recast.core.errors import InputError
 from recast.core.progress import Progress, tell
-from recast.core.ray_cluster import worker_pool
 from recast.core.records import Record, validated
+from recast.core.workers import worker_pool
 from recast.recar.ingest_folder import check_sizes, photographs_of, pick_photographs
 from recast.recar.ingest_photograph import (
     WORDS,

@@ -16,6 +16,7 @@ from pydantic import AfterValidator, Field, model_validator
 from recast.arrays import Image
 from recast.core import files
 from recast.core.errors import InputError
+from recast.core.lettering import draw_text
 from recast.core.records import Record, read_record
 from recast.logs.images import encode
 from recast.recar.perturb_camera import Compression, Defocus, Fog, LowLight, MotionBlur, Resampling
@@ -38,7 +39,6 @@ from recast.recar.perturb_outline import (
     OtherVehicle,
     Pole,
 )
-from recast.recar.views import write_words
 from recast.trellis import check_crop, crop_to_object
 from recast.trellis.conditioning import OPAQUE
 
@@ -248,22 +248,24 @@ def write_sheet(rgba: Image, config: PerturbationConfig, seed: int, path: Path) 
     def put(picture: Image, left: int, top: int) -> None:
         canvas[top : top + picture.shape[0], left : left + picture.shape[1]] = picture
 
-    write_words(canvas, "Perturbations from severity 0 to 1", (12, 29), 0.6, _INK)
+    draw_text(canvas, (12, 29), "Perturbations from severity 0 to 1", _INK, 18, "ls")
     for index, kind in enumerate(kinds):
         column, row = divmod(index, rows)
         left, top = column * (column_width + _GAP), _HEAD + row * (cell_height + 6)
-        write_words(canvas, kind.name, (left + 6, top + cell_height // 2), 0.38, _INK)
+        draw_text(canvas, (left + 6, top + cell_height // 2), kind.name, _INK, 11, "ls")
         if kind.weight == 0:
-            write_words(canvas, "(off)", (left + 6, top + cell_height // 2 + 16), 0.38, _INK)
+            draw_text(canvas, (left + 6, top + cell_height // 2 + 16), "(off)", _INK, 11, "ls")
         for place, severity in enumerate(SEVERITIES):
             x = left + _LABEL + place * (cell_width + _SPACE)
             if row == 0:
-                write_words(canvas, f"{severity:g}", (x + cell_width // 2, _HEAD - 8), 0.4, _MUTED)
+                draw_text(
+                    canvas, (x + cell_width // 2, _HEAD - 8), f"{severity:g}", _MUTED, 12, "ls"
+                )
             rng = np.random.default_rng([seed, index])
             put(_cell(kind(around, severity, rng)), x, top)
     clean = f"clean with probability {config.rho_clean:g}"
     words = f"Drawn by this configuration, as the model gets them ({clean})"
-    write_words(canvas, words, (12, foot + 14), 0.5, _INK)
+    draw_text(canvas, (12, foot + 14), words, _INK, 15, "ls")
     side = min((width - 24) // _DRAWS - _SPACE, _CELL)
     for place in range(_DRAWS):
         drawn = perturb(rgba, config, np.random.default_rng([seed, len(kinds), place]))
@@ -271,7 +273,7 @@ def write_sheet(rgba: Image, config: PerturbationConfig, seed: int, path: Path) 
         put(crop_to_object(drawn.rgba, side), x, foot + 26)
         captions = [f"{name} {severity:.2f}" for name, severity in drawn.applied] or ["clean"]
         for line, caption in enumerate(captions):
-            write_words(canvas, caption, (x, foot + 40 + side + 12 * line), 0.33, _MUTED)
+            draw_text(canvas, (x, foot + 40 + side + 12 * line), caption, _MUTED, 10, "ls")
     files.write_bytes(path, encode(canvas))
 
 

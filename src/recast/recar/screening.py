@@ -21,12 +21,13 @@ from recast.arrays import Image
 from recast.core import files
 from recast.core.errors import InputError, printable
 from recast.core.files import disk_errors
+from recast.core.lettering import draw_text
 from recast.core.progress import Progress, tell
 from recast.logs.images import encode
 from recast.recar.ingest import read_doubts
 from recast.recar.ingest_table import OVERFLOW, csv_rows
 from recast.recar.vehicle_set import VehicleSet
-from recast.recar.views import over_panel, shrunk, write_words
+from recast.recar.views import over_panel, shrunk
 
 Decision = Literal["yes", "no"]
 SCREENING_FILE = "screening.csv"
@@ -215,9 +216,9 @@ def _cell(number: int, one: ScreenedVehicle, decision: Decision | None) -> Image
     ]
     kept = "" if decision is None else f"   keep: {decision}"
     letters = width // 7
-    write_words(cell, printable("  ".join(labels) + kept)[:letters], (4, 14), 0.4, _INK)
+    draw_text(cell, (4, 14), printable("  ".join(labels) + kept)[:letters], _INK, 12, "ls")
     if one.verdict != PASSED:
-        write_words(cell, printable(one.verdict)[:letters], (4, 30), 0.38, _RED)
+        draw_text(cell, (4, 30), printable(one.verdict)[:letters], _RED, 11, "ls")
     shown = one.picture if decision != "no" else one.picture // 3 + 170  # faded
     cell[_CAPTION : _CAPTION + height, 4 : 4 + width] = shown
     return cell

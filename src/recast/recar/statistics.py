@@ -18,11 +18,12 @@ from rich.text import Text
 from recast.arrays import Image
 from recast.core import files
 from recast.core.errors import printable
+from recast.core.lettering import draw_text
 from recast.geometry.colour import linear_to_srgb
 from recast.logs.images import encode
 from recast.recar.screening import read_decisions
 from recast.recar.vehicle_set import SPLITS, Identity, VehicleSet
-from recast.recar.views import over_panel, shrunk, write_words
+from recast.recar.views import over_panel, shrunk
 
 _INK, _MUTED, _EDGE = (31, 36, 48), (107, 114, 128), (154, 161, 173)
 _CELL = (220, 147)  # pixels at most of a view in the overview, before it is cut
@@ -168,17 +169,19 @@ def write_overview(vehicle_set: VehicleSet, statistics: SetStatistics, path: Pat
         f"{record.name}: {statistics.identities:,} identities, {record.views} views each, "
         f"{statistics.pictures:,} RGBA images of {record.width}x{record.height}"
     )
-    write_words(canvas, printable(title), (12, 24), 0.6, _INK)
+    draw_text(canvas, (12, 24), printable(title), _INK, 18, "ls")
     for place, view in enumerate(views):
         x = _LABEL + (2 * place + 1) * width // (2 * len(views)) - 14
-        write_words(canvas, f"{record.azimuths_deg[view]:g} deg", (x, _HEAD - 8), 0.4, _MUTED)
+        draw_text(canvas, (x, _HEAD - 8), f"{record.azimuths_deg[view]:g} deg", _MUTED, 12, "ls")
     for row, identity in enumerate(rows):
         y = _HEAD + (2 * row + 1) * height // (2 * len(rows))
-        write_words(canvas, printable(identity.record.kind)[:16], (8, y), 0.4, _INK)
-        write_words(canvas, printable(identity.record.colour or "")[:16], (8, y + 16), 0.4, _MUTED)
+        draw_text(canvas, (8, y), printable(identity.record.kind)[:16], _INK, 12, "ls")
+        draw_text(
+            canvas, (8, y + 16), printable(identity.record.colour or "")[:16], _MUTED, 12, "ls"
+        )
     left, top = _LABEL + width + 24, _HEAD
     for heading, counts in shares.items():
-        write_words(canvas, f"{heading}, % of identities", (left, top), 0.5, _INK)
+        draw_text(canvas, (left, top), f"{heading}, % of identities", _INK, 15, "ls")
         _draw_bars(canvas, counts, left, top + _LINE, swatch if heading == "Colours" else _plain)
         top += _LINE * (len(counts) + 1) + 40
     files.write_bytes(path, encode(canvas))
@@ -242,7 +245,7 @@ def _draw_bars(
     total, most = sum(counts.values()), max(counts.values())
     for line, (name, count) in enumerate(counts.items()):
         y = top + line * _LINE
-        write_words(canvas, printable(name)[:16], (left, y + 12), 0.4, _INK)
+        draw_text(canvas, (left, y + 12), printable(name)[:16], _INK, 12, "ls")
         start, end = left + _LABEL, left + _LABEL + max(round(_LONGEST * count / most), 2)
         colour = colour_of(name)
         cv2.rectangle(canvas, (start, y), (end, y + 14), colour or (255, 255, 255), -1)
@@ -251,7 +254,7 @@ def _draw_bars(
             cv2.line(canvas, (start, y + 14), (end, y), _EDGE, 1)
         share = 100 * count / total
         words = f"{share:.0f}" if share >= 1 else f"{share:.1f}"
-        write_words(canvas, words, (end + 6, y + 12), 0.4, _INK)
+        draw_text(canvas, (end + 6, y + 12), words, _INK, 12, "ls")
 
 
 def _plain(name: str) -> tuple[int, int, int]:

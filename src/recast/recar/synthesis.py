@@ -16,7 +16,7 @@ from recast.cameras import PinholeCamera
 from recast.core.errors import InputError, require_range
 from recast.core.files import alone_in
 from recast.core.progress import Progress, tell
-from recast.core.ray_cluster import worker_pool
+from recast.core.workers import worker_pool
 from recast.geometry import se3
 from recast.recar.vehicle_set import (
     HELD_OUT_SHARE,

@@ -14,6 +14,7 @@ from pydantic import Field, FiniteFloat
 
 from recast.arrays import Image
 from recast.core.errors import InputError
+from recast.core.lettering import draw_text
 from recast.core.records import Record
 from recast.logs.images import encode
 from recast.recar.target_cache import CachedModelRecord, FilterRecord, Heading, Target, TargetRecord
@@ -36,7 +37,6 @@ from recast.recar.target_views import (
     turned,
 )
 from recast.recar.vehicle_set import Split
-from recast.recar.views import write_words
 from recast.splats import Gaussians
 from recast.trellis import (
     GeneratedVehicle,
@@ -348,7 +348,7 @@ def _tile(gaussians: Gaussians, viewpoint: Viewpoint) -> Image:
 
 def _captioned(tile: Image, text: str) -> Image:
     tile = np.ascontiguousarray(tile)
-    write_words(tile, text, (5, 14), 0.4, (255, 255, 255))
+    draw_text(tile, (5, 14), text, (255, 255, 255), 12, "ls")
     return tile
 
 

@@ -19,8 +19,7 @@ from recast.core import files
 from recast.core.errors import InputError, printable
 from recast.core.images import decode_image, rgb
 from recast.core.progress import Progress, tell
-from recast.core.ray_cluster import worker_pool
-from recast.core.workers import in_this_process
+from recast.core.workers import in_this_process, worker_pool
 from recast.recar.screening import PASSED, ScreenedVehicle
 from recast.recar.statistics import summary_table
 from recast.recar.target_cache import CACHE_FILE, CacheRecord, TargetCache, TargetRecord
@@ -62,7 +61,7 @@ def build_targets(
         out: folder of the cache; new, empty, or a cache of the same model and settings. Another
             threshold of the filter is taken over without making anything anew.
         workers: processes on this machine, or actors of the cluster.
-        ray: address of a Ray cluster, see `recast.core.ray_cluster.on_ray`.
+        ray: address of a Ray cluster, see `recast.core.workers.on_ray`.
         identities: only these vehicles; all where not given.
         retry_failures: try again what failed before.
         progress: called as vehicles are done.

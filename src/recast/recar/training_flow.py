@@ -16,6 +16,7 @@ from torch import Tensor, nn
 from recast.arrays import Image
 from recast.core.errors import InputError
 from recast.core.files import write_bytes
+from recast.core.lettering import draw_text
 from recast.logs.images import encode
 from recast.recar.target_cache import Target, TargetCache
 from recast.recar.target_views import Viewpoint, render
@@ -27,7 +28,6 @@ from recast.recar.training_conditions import (
     draw_identities,
 )
 from recast.recar.training_config import FlowObjective
-from recast.recar.views import write_words
 from recast.splats import Gaussians
 from recast.training.state import TrainingState
 from recast.training.task import StepLoss, StepRandom
@@ -296,7 +296,7 @@ def _captioned(tile: Image, caption: str) -> Image:
     """A tile under its caption, with a white edge."""
     sheet = np.full((_TILE + _CAPTION + 4, _TILE + 4, 3), 255, np.uint8)
     sheet[_CAPTION : _CAPTION + _TILE, :_TILE] = tile
-    write_words(sheet, caption[:30], (2, 13), 0.34)
+    draw_text(sheet, (2, 13), caption[:30], (40, 40, 40), 10, "ls")
     return sheet
 
 

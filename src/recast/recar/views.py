@@ -92,17 +92,6 @@ def encode_picture(rgba: Image) -> bytes:
     return encode(rgba)
 
 
-def write_words(
-    picture: Image,
-    words: str,
-    place: tuple[int, int],
-    size: float,
-    colour: tuple[int, int, int] = (40, 40, 40),
-) -> None:
-    """Write a line into a picture (H, W, 3), in place, from the left end of its baseline (x, y)."""
-    cv2.putText(picture, words, place, cv2.FONT_HERSHEY_SIMPLEX, size, colour, 1, cv2.LINE_AA)
-
-
 def shrunk(rgba: Image, width: int, height: int) -> NDArray[np.float32]:
     """Shrunk to fit `width` x `height`: colour times alpha, and alpha, in [0, 1]."""
     alpha = rgba[..., 3:].astype(np.float32) / 255

@@ -13,8 +13,9 @@ from recast.actors.actor import CandidateRecord
 from recast.actors.coverage import Coverage
 from recast.actors.drawing import coloured_by_shares
 from recast.arrays import Image
+from recast.core.lettering import wrapped
 from recast.reporting import palette
-from recast.reporting.canvas import Canvas, CanvasView, wrapped
+from recast.reporting.canvas import Canvas, CanvasView
 from recast.splats.sh import C0
 
 _Line = list[tuple[int, str, palette.Colour]]

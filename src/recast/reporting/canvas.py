@@ -4,17 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cache, lru_cache
 from itertools import accumulate
 
 import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from PIL import Image as PilImage
-from PIL import ImageDraw, ImageFont
 
 from recast.arrays import Array, Image
-from recast.core.errors import printable
+from recast.core.lettering import draw_text
 from recast.reporting.palette import GROUND, TEXT, Colour
 
 _SHIFT = 4  # cv2 draws at 1/16 pixel
@@ -111,19 +108,7 @@ class Canvas:
         anchor: str = "la",
     ) -> int:
         """Write at a pixel, `anchor` as in Pillow ("la": left, ascender); return the width."""
-        content = printable(" ".join(content.split()))  # names from outside may hold anything
-        left, top, advance, mask = _word(content, size, anchor)
-        x0, y0 = int(pixel[0]) + left, int(pixel[1]) + top
-        x1, y1 = x0 + mask.shape[1], y0 + mask.shape[0]
-        inside = np.s_[max(y0, 0) : max(y1, 0), max(x0, 0) : max(x1, 0)]
-        patch = self.image[inside]
-        if patch.size:
-            rows, columns = patch.shape[:2]
-            row, column = max(-y0, 0), max(-x0, 0)
-            share = mask[row : row + rows, column : column + columns, None]
-            ink = np.array(colour, np.uint16)
-            self.image[inside] = (patch * (255 - share) + ink * share + 127) // 255
-        return advance
+        return draw_text(self.image, pixel, content, colour, size, anchor)
 
     def _pieces(self, chains: Sequence[Array]) -> list[NDArray[np.int32]]:
         """Chains (N_i, 2) in pixels, all reckoned at once."""
@@ -143,36 +128,6 @@ def at_width(image: Image, width: int) -> Image:
     """An image (H, W, 3), resized to a width in pixels."""
     height = max(1, round(image.shape[0] * width / image.shape[1]))
     return np.asarray(cv2.resize(image, (width, height), interpolation=cv2.INTER_AREA), np.uint8)
-
-
-@cache
-def _font(size: int) -> ImageFont.FreeTypeFont | ImageFont.ImageFont:
-    return ImageFont.load_default(size)
-
-
-@lru_cache(maxsize=1024)
-def _word(content: str, size: int, anchor: str) -> tuple[int, int, int, NDArray[np.uint16]]:
-    """Text as a mask, 0 to 255: its left and top from the anchor, its width, and the mask.
-
-    A film repeats the same words in each picture; drawing them anew would take half of its time.
-    """
-    font = _font(size)
-    left, top, right, bottom = (int(v) for v in font.getbbox(content, anchor=anchor))
-    patch = PilImage.new("L", (right - left + 3, bottom - top + 3))
-    ImageDraw.Draw(patch).text((1 - left, 1 - top), content, 255, font, anchor=anchor)
-    return left - 1, top - 1, right - left, np.asarray(patch, np.uint16)
-
-
-def wrapped(content: str, size: int, width: float) -> list[str]:
-    """Text in lines of at most `width` pixels, unless a single word is longer."""
-    font, lines = _font(size), [""]
-    for word in printable(" ".join(content.split())).split(" "):
-        longer = f"{lines[-1]} {word}".strip()
-        if lines[-1] and font.getlength(longer) > width:
-            lines.append(word)
-        else:
-            lines[-1] = longer
-    return lines
 
 
 def dashed(points: ArrayLike, dash: float) -> list[Array]:

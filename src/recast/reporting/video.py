@@ -15,12 +15,11 @@ import cv2
 import numpy as np
 from av.video.reformatter import Colorspace, VideoReformatter
 from numpy.typing import NDArray
-from PIL import Image as PilImage
-from PIL import ImageDraw, ImageFont
 
 from recast.arrays import Image
 from recast.core.errors import InputError
 from recast.core.files import atomic_file
+from recast.core.lettering import draw_text
 
 _BT709 = 1  # code point shared by primaries, transfer and matrix in ITU-T H.273
 _LIMITED_RANGE = 1
@@ -291,8 +290,6 @@ def _labelled(frame: Image, label: str, ended: bool) -> Image:
 
 @lru_cache(maxsize=16)
 def _strip(text: str, width: int) -> Image:
-    strip = PilImage.new("RGB", (width, _LABEL_HEIGHT), _LABEL_BACKGROUND)
-    ImageDraw.Draw(strip).text(
-        (10, _LABEL_HEIGHT // 2), text, _LABEL_TEXT, ImageFont.load_default(15), anchor="lm"
-    )
-    return np.asarray(strip)
+    strip = np.full((_LABEL_HEIGHT, width, 3), _LABEL_BACKGROUND, np.uint8)
+    draw_text(strip, (10, _LABEL_HEIGHT // 2), text, _LABEL_TEXT, 15, "lm")
+    return strip

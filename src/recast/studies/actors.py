@@ -25,6 +25,7 @@ from recast.actors.place import PlacementReport, place_asset
 from recast.arrays import Array, Image
 from recast.core.errors import InputError
 from recast.core.files import atomic_folder, write_json
+from recast.core.lettering import draw_text
 from recast.core.progress import Progress
 from recast.logs import DrivingLog
 from recast.metrics.actor_scores import (
@@ -127,7 +128,7 @@ def _captioned(picture: Image, caption: str) -> Image:
     page = np.full((_HEIGHT + _TWO_LINES + _EDGE, _WIDTH + _EDGE, 3), 255, np.uint8)
     page[_TWO_LINES : _TWO_LINES + _HEIGHT, :_WIDTH] = picture
     for line, text in enumerate(caption.split("\n")):
-        _write(page, text, (4, 15 + 18 * line), 0.45)
+        draw_text(page, (4, 15 + 18 * line), text, _INK, 14, "ls")
     return page
 
 
@@ -190,11 +191,11 @@ def sheet(title: str, models: Sequence[str], rows: Sequence[SheetRow]) -> Image:
     for row in rows:
         line = np.full((TILE[1] + _CAPTION, width, 3), 255, np.uint8)
         line[: TILE[1], : TILE[0]] = row.source
-        _write(line, row.caption, (2, TILE[1] + 11), 0.34)
+        draw_text(line, (2, TILE[1] + 11), row.caption, _INK, 10, "ls")
         left = TILE[0] + _GAP
         for shown in [*row.strips, row.truth]:
             if shown is None:
-                _write(line, "not made", (left + 8, TILE[1] // 2), 0.45)
+                draw_text(line, (left + 8, TILE[1] // 2), "not made", _INK, 14, "ls")
             else:
                 line[: TILE[1], left : left + shown.shape[1]] = shown
             left += views + _GAP
@@ -219,15 +220,12 @@ def _header(names: Sequence[str], views: int, width: int) -> Image:
     line = np.full((_HEADER, width, 3), 255, np.uint8)
     left = 0
     for index, name in enumerate(names):
-        _write(line, name, (left + 2, 17), 0.48)
+        draw_text(line, (left + 2, 17), name, _INK, 14, "ls")
         left += TILE[0] + _GAP if index == 0 else views + _GAP
     return line
 
 
-def _write(image: Image, text: str, where: tuple[int, int], size: float) -> None:
-    cv2.putText(image, text, where, cv2.FONT_HERSHEY_SIMPLEX, size, (40, 40, 40), 1, cv2.LINE_AA)
-
-
+_INK = (40, 40, 40)
 METRICS_FILE, TIMINGS_FILE = "metrics.json", "timings.json"
 MODELS = ("reconstructed", "registered", "refined")
 """The scene's own model of the track, the actor as registered, and as refined."""

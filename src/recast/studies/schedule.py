@@ -20,10 +20,10 @@ from pydantic import BaseModel, ConfigDict, NonNegativeFloat, NonNegativeInt
 
 from recast.core import Artefact, Store, files, open_store
 from recast.core.errors import InputError
-from recast.core.ray_cluster import fetch_parcel, node_folder, send_parcel, worker_pool
 from recast.core.records import read_record
 from recast.core.remote import Fetch, ParcelDepot, pack
 from recast.core.store import NotInStoreError
+from recast.core.workers import fetch_parcel, node_folder, send_parcel, worker_pool
 from recast.runs.rollouts import is_failure
 from recast.runs.run_folder import METRICS_FILE, STORE_FOLDER, RunFolder, use_parts
 from recast.runs.scores import RunTrust, read_metrics, write_metrics

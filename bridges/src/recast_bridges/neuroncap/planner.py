@@ -19,7 +19,6 @@ from scipy.interpolate import PchipInterpolator
 from recast.arrays import Array
 from recast.cameras import CameraMount
 from recast.core.errors import InputError
-from recast.core.json_service import JsonService
 from recast.dynamics import state as ego
 from recast.geometry import se2, se3
 from recast.planning.route import ReferenceRoute
@@ -30,6 +29,7 @@ from recast.planning.types import (
     PlannerInput,
     PlanningContext,
 )
+from recast_bridges.json_service import JsonService
 from recast_bridges.neuroncap.wire import ncap_cameras, raw_image
 
 ALIVE_S, RESET_S, INFER_S = 10.0, 60.0, 300.0

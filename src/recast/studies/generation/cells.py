@@ -29,8 +29,7 @@ from recast.core.array_files import read_npz
 from recast.core.errors import InputError
 from recast.core.files import atomic_folder, read_json, write_json
 from recast.core.images import decode_image, rgb
-from recast.core.ray_cluster import worker_pool
-from recast.core.workers import in_this_process
+from recast.core.workers import in_this_process, worker_pool
 from recast.geometry import se3
 from recast.metrics.actor_scores import (
     ActorCase,

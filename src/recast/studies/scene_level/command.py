@@ -12,7 +12,6 @@ from pathlib import Path
 
 import numpy as np
 from PIL import Image as PilImage
-from PIL import ImageDraw
 from rich.console import Console
 from rich.table import Table
 from rich.text import Text
@@ -21,6 +20,7 @@ from recast.arrays import Image
 from recast.core import Store, files
 from recast.core.errors import printable
 from recast.core.images import decode_image, rgb
+from recast.core.lettering import draw_text
 from recast.core.names import folder_name
 from recast.core.progress import ProgressBar
 from recast.metrics.scene_level.frames import RolloutFrame, read_frames, read_references
@@ -242,18 +242,17 @@ def _figure(
     cells = [[_cell(path) for path in paths] for _, paths in rows]
     heights = [_HEAD + max(len(cell) for cell in row) for row in cells]
     size = ((_WIDTH + _GAP) * len(arms) - _GAP, _HEAD + sum(heights) + _GAP * len(rows))
-    figure = PilImage.new("RGB", size, "white")
-    draw = ImageDraw.Draw(figure)
+    figure = np.full((size[1], size[0], 3), 255, np.uint8)
     for column, arm in enumerate(arms):
-        draw.text((column * (_WIDTH + _GAP) + 2, 3), printable(arm), fill="black")
+        draw_text(figure, (column * (_WIDTH + _GAP) + 2, 3), arm, size=10)
     top = _HEAD
     for (title, _), row, height in zip(rows, cells, heights, strict=True):
-        draw.text((2, top + 3), printable(title), fill="black")
+        draw_text(figure, (2, top + 3), title, size=10)
         for column, picture in enumerate(row):
-            place = (column * (_WIDTH + _GAP), top + _HEAD)
-            figure.paste(PilImage.fromarray(picture), place)
+            left, high, wide = column * (_WIDTH + _GAP), *picture.shape[:2]
+            figure[top + _HEAD : top + _HEAD + high, left : left + wide] = picture
         top += height + _GAP
-    return figure
+    return PilImage.fromarray(figure)
 
 
 def _cell(path: Path | None) -> Image:

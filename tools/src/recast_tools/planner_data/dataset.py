@@ -15,8 +15,8 @@ from recast.core import Store, open_store
 from recast.core.errors import InputError, require_range
 from recast.core.files import alone_in, write_json
 from recast.core.progress import Progress
-from recast.core.ray_cluster import worker_pool
 from recast.core.records import read_record
+from recast.core.workers import worker_pool
 from recast.dynamics import state as ego
 from recast.geometry import se2
 from recast.planning.gtrs.scores import Trajectories, read_vocabulary, write_vocabulary

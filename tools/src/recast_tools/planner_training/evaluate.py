@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from recast.arrays import Float32Array, Image
 from recast.core.errors import InputError
+from recast.core.lettering import draw_text
 from recast.planning.gtrs import ScoreWeights, final_score, training_loss
 from recast_tools.planner_training.samples import SampleStore
 from recast_tools.planner_training.targets import SCORED, unpacked
@@ -179,7 +180,7 @@ def _row(store: SampleStore, index: int, choice: int | None) -> Image:
     view = _from_above(store, index, np.argsort(-true, kind="stable")[:10], choice)
     caption = f"{index}: v {store.status[index, 0, 4]:.1f}  best {true.max():.2f}"
     caption += "" if choice is None else f"  chosen {true[choice]:.2f}"
-    cv2.putText(view, caption, (2, 10), cv2.FONT_HERSHEY_SIMPLEX, 0.3, (0, 0, 0), 1)
+    draw_text(view, (2, 10), caption, size=10, anchor="ls")
     return np.hstack([store.image(index), view])
 
 

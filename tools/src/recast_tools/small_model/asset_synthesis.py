@@ -17,8 +17,8 @@ from recast.cameras import PinholeCamera
 from recast.core.errors import InputError
 from recast.core.files import alone_in, write_json
 from recast.core.progress import Progress, tell
-from recast.core.ray_cluster import worker_pool
 from recast.core.records import Record, read_record
+from recast.core.workers import worker_pool
 from recast.geometry import se3
 from recast.recar.synthesis import studio_sky
 from recast.recar.training_conditions import TrainingAsset, write_asset

@@ -18,8 +18,8 @@ from starlette.routing import Route
 
 from recast.core import web_server
 from recast.core.errors import InputError
-from recast.core.json_service import JsonService
 from recast.core.web_server import BodyError, WebServer, json_body
+from recast_bridges.json_service import JsonService
 
 MOST = 1000
 
