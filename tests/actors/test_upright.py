@@ -13,7 +13,6 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from actors import made_up
 from recast.actors import Observation, SplatGenerator, axes_of, make_generator, register
 from recast.actors.axes import LEAST_EVIDENCE, postures
 from recast.actors.icp import outer_surface
@@ -28,6 +27,7 @@ from recast.studies.generation.cells import place_canonical
 from recast.synthetic.vehicles import KINDS, sample_vehicle
 from recast.trellis import viewer_frame
 from recast.trellis.slat_vae import RepresentationConfig, offset_perturbation, raw_to_gaussians
+from support import made_up_actors as made_up
 
 SIZES = {
     "sedan": (4.7, 1.85, 1.45),

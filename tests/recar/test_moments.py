@@ -27,10 +27,9 @@ from support.moments import changes_of, killed_before, said_on_a_full_disk, said
 from support.target_places import SETTINGS as TARGETS
 from support.target_places import Places
 from support.tiny_stage import TinyStage, train_quietly, write_tiny_stage
-
-from .photographs import SETTINGS as PHOTOS
-from .photographs import write_photos
-from .sets import tree, write_set
+from support.vehicle_photographs import SETTINGS as PHOTOS
+from support.vehicle_photographs import write_photos
+from support.vehicle_sets import tree, write_set
 
 KILLS = 10
 Run = Callable[[Path], object]

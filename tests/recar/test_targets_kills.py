@@ -21,8 +21,7 @@ from recast.recar.targets import build_targets
 from support.moments import forked
 from support.target_caches import box_target
 from support.target_places import SETTINGS, Places
-
-from .sets import tree
+from support.vehicle_sets import tree
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="no fork")

@@ -10,7 +10,6 @@ import pytest
 import torch
 
 import recast.actors.mesh.generator as making
-from actors.mesh.made import CAR, HALVES, SQUARE, Glb, box, car
 from recast.actors import MeshGenerator, Observation, register
 from recast.actors.mesh.generator import surfels
 from recast.actors.mesh.sample import Outside, outside, sample
@@ -21,6 +20,7 @@ from recast.geometry.colour import linear_to_gamma
 from recast.logs import DrivingLog
 from recast.splats import MIP, Gaussians, rasterize
 from recast.splats.sh import C0
+from support.mesh_files import CAR, HALVES, SQUARE, Glb, box, car
 
 
 def of_box(
