@@ -12,6 +12,8 @@ from faults.small_run import small_run
 from support.children import Ended, Fault, refused_from
 from support.unbroken import STEPS, Unbroken, contents, kept, stamps
 
+pytestmark = pytest.mark.whole
+
 WORDS = {
     errno.ENOSPC: "no space left",
     errno.EROFS: "read-only",

@@ -12,6 +12,8 @@ from support.children import KILL, Fault
 from support.moments import killed_before
 from support.unbroken import Unbroken, contents, kept, stamps
 
+pytestmark = pytest.mark.whole
+
 WHOLE_RUN = (
     ("os.rename run/run.json", ""),
     ("os.rename store/store.json", ""),

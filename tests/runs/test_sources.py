@@ -184,6 +184,7 @@ def test_a_run_and_its_store_go_on_elsewhere(
     assert main(["report", str(tmp_path / "1" / "run")]) == 2
 
 
+@pytest.mark.whole
 def test_two_runs_at_once_make_nothing_twice(tiny_log_folder: Path, tmp_path: Path) -> None:
     """One store, one process each: the slower waits for what the other is making."""
     log, store = tiny_log_folder, tmp_path / "store"
