@@ -93,9 +93,7 @@ def up_in_file(rotation: np.ndarray) -> str:
     return f"{'+' if rotation[axis, 2] > 0 else '-'}{'xyz'[axis]}"
 
 
-@pytest.mark.parametrize(
-    "name", ["template hatchback", "synthetic sedan", "synthetic pickup", "synthetic bus"]
-)
+@pytest.mark.parametrize("name", ["template hatchback", "synthetic pickup"])
 def test_up_is_found_in_all_24_orientations(name: str) -> None:
     points, size = vehicle(name)
     for rotation in ORIENTATIONS:

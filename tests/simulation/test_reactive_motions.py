@@ -119,11 +119,11 @@ def follow(lead: list[ActorState], motion: Idm, log: DrivingLog) -> NDArray:
     return np.array(states)
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=12, deadline=None)
 @given(
     speed=st.floats(1.0, 12.0),
     gap=st.floats(8.0, 40.0),
-    braking=st.floats(0.5, 6.0),
+    braking=st.floats(1.0, 6.0),  # every lead stands for the last eight seconds
     turn=st.floats(-3.0, 3.0),
 )
 def test_nobody_who_follows_hits_a_lead_that_brakes(
@@ -134,9 +134,9 @@ def test_nobody_who_follows_hits_a_lead_that_brakes(
     log = with_track(
         drive(world_from_start=move), "c", se2.compose(move, line((0.0, 5.0, 0.0), speed))
     )
-    lead_speed = np.maximum(speed - braking * DT * np.arange(250), 0.0)
+    lead_speed = np.maximum(speed - braking * DT * np.arange(200), 0.0)
     lead_x = 4.25 + gap + np.concatenate([[0.0], np.cumsum(lead_speed[:-1] * DT)])
-    places = se2.compose(move, np.stack([lead_x, np.full(250, 5.0), np.zeros(250)], axis=1))
+    places = se2.compose(move, np.stack([lead_x, np.full(200, 5.0), np.zeros(200)], axis=1))
     lead = [
         replace(someone(0, 0, v, turn), pose=pose)
         for pose, v in zip(places, lead_speed, strict=True)
