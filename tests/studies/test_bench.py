@@ -119,12 +119,14 @@ def test_another_grid_takes_what_the_store_has(finished: Path, logs: list[str]) 
     }
 
 
+@pytest.mark.whole
 def test_two_workers_give_the_same_bytes(finished: Path, logs: list[str], tmp_path: Path) -> None:
     assert main(command(logs, tmp_path / "grid", "--workers", "2")) == 0
     for name in FILES:
         assert (tmp_path / "grid" / name).read_bytes() == (finished / name).read_bytes(), name
 
 
+@pytest.mark.whole
 def test_a_killed_grid_goes_on(finished: Path, logs: list[str], tmp_path: Path) -> None:
     out = tmp_path / "grid"
     args = command(logs, out, "--planner", "support.own_parts:Kills")
