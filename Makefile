@@ -20,19 +20,24 @@ ifneq ($(shell grep -om1 avx2 /proc/cpuinfo),)
 LEVELS += avx2
 endif
 endif
-# The tests whose numbers may differ between processors; TESTS=tests for all.
-TESTS ?= tests/geometry tests/cameras tests/dynamics tests/metrics tests/splats tests/trellis \
+# The tests whose numbers may differ between processors.
+PORTABLE := tests/geometry tests/cameras tests/dynamics tests/metrics tests/splats tests/trellis \
   tests/training tests/planning/pdm tests/planning/gtrs tests/bridges/scores \
   tests/studies/test_generation_summary.py tests/studies/test_grid_summary.py
+# Tests of one package or file instead: make unit TESTS=tests/splats
+TESTS ?=
 
 SIZES := src/recast bridges/src/recast_bridges tools/src/recast_tools tests
-.PHONY: sizes help setup asam demo test test-portable $(LEVELS:%=test-at-%) lint types contracts docs unit recipes fuzz bench wheel clean
+.PHONY: sizes help setup asam demo test test-whole test-all test-portable $(LEVELS:%=test-at-%) lint types contracts docs unit recipes fuzz bench wheel clean
 
 help:
 	@echo "make setup   install into $(VENV)"
 	@echo "make demo    a made-up drive, from log to report (about seven minutes)"
-	@echo "make test    lint, types, layer contracts and the tests (what CI runs)"
+	@echo "make test    lint, types, layer contracts and the tests of the parts"
+	@echo "make unit TESTS=tests/splats   the tests of one package, without the checks"
+	@echo "make test-whole   tests that run whole chains of commands, or kill them"
 	@echo "make test-portable   tests whose numbers may differ, as on lesser processors"
+	@echo "make test-all   all of them, which is what CI runs"
 	@echo "make recipes accept the code of all steps, after RECIPES were raised where it matters"
 	@echo "make fuzz    100,000 damaged files for every reader; goes on where it was stopped"
 	@echo "make bench   the benchmarks of rasterizer, ray tracer and image-to-3D model"
@@ -87,12 +92,17 @@ docs: setup
 PYTEST = OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n $(WORKERS) --dist worksteal
 
 unit: setup asam
-	$(PYTEST) --durations=10
+	$(PYTEST) -m "not whole" --durations=10 $(TESTS)
+
+test-whole: setup asam
+	$(PYTEST) -m whole --durations=10 $(TESTS)
 
 test-portable: $(LEVELS:%=test-at-%)
 
+test-all: test test-whole test-portable
+
 $(LEVELS:%=test-at-%): test-at-%: setup
-	$(PORTABLE_$*) $(PYTEST) $(TESTS)
+	$(PORTABLE_$*) $(PYTEST) $(or $(TESTS),$(PORTABLE))
 
 recipes: setup
 	PYTHONPATH=tests $(BIN)/python tests/runs/test_recipes.py

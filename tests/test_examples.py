@@ -39,28 +39,33 @@ def said(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]):
     return run
 
 
+@pytest.mark.whole
 def test_1_shows_the_tracks(said, folder: Path) -> None:
     out = said("1_log.py", folder / "log")
     assert "track 0: car" in out and "track 1: van" in out and "(48, 160, 3)" in out
 
 
+@pytest.mark.whole
 def test_2_draws_the_street(said, folder: Path) -> None:
     out = said("2_scene.py", folder / "log", folder / "image.png", STEPS)
     assert "actors: 0" in out and (folder / "image.png").is_file()
 
 
+@pytest.mark.whole
 def test_3_makes_a_vehicle(said, folder: Path) -> None:
     out = said("3_actor.py", folder / "log", "0", folder / "actor", "template", STEPS, "no")
     assert "LiDAR to actor" in out and "refined by" not in out and "track 0 has" in out
     assert (folder / "actor" / "actor.json").is_file()
 
 
+@pytest.mark.whole
 @pytest.mark.slow  # a minute of refinement
 def test_3_refines_the_vehicle(said, folder: Path) -> None:
     out = said("3_actor.py", folder / "log", "0", folder / "refined", "template", STEPS)
     assert "refined by" in out and "track 0 has" in out
 
 
+@pytest.mark.whole
 def test_4_drives_with_a_planner_of_its_own(said, folder: Path) -> None:
     out = said("4_rollout.py", folder / "log", "0", "advancing-a", folder / "report", STEPS)
     assert re.search(r"^ttc +[0-9.]+$", out, re.MULTILINE)
@@ -68,6 +73,7 @@ def test_4_drives_with_a_planner_of_its_own(said, folder: Path) -> None:
     assert out.splitlines()[-1] == str(page) and "careful" in page.read_text()
 
 
+@pytest.mark.whole
 def test_5_compares_arms_and_planners(said, folder: Path) -> None:
     out = said("5_grid.py", folder / "grid", f"{folder / 'log'}:0", "advancing-a")
     for planner in ("idm-follower", "constant-velocity"):
@@ -76,6 +82,7 @@ def test_5_compares_arms_and_planners(said, folder: Path) -> None:
     assert (folder / "grid" / "rollouts.parquet").is_file()
 
 
+@pytest.mark.whole
 def test_6_steps_four_environments(said, folder: Path) -> None:
     out = said("6_gymnasium.py", folder / "log", "0", "advancing-a", "4")
     assert {line.split(":")[0] for line in out.splitlines()} == {
@@ -89,6 +96,7 @@ def test_the_page_shows_them_as_they_are() -> None:
         assert f'--8<-- "examples/{name}"' in page, name
 
 
+@pytest.mark.whole
 @pytest.mark.parametrize(
     ("name", "word"),
     [

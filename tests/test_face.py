@@ -15,9 +15,9 @@ from typing import Any
 import pytest
 
 import recast
-from own_parts import Box
 from recast.core.errors import InputError
 from recast.splats import write_ply
+from support.own_parts import Box
 
 FUNCTIONS = (
     "evaluate",
@@ -134,7 +134,7 @@ def test_a_log_that_lies_nowhere_has_no_store(names: dict[str, Any], tmp_path: P
     assert log.origin is None
     scene = recast.reconstruct(log, iterations=2, scale=0.5)
     assert scene.origin is None
-    box = {"generator": "own_parts:Box", "store": tmp_path / "store"}
+    box = {"generator": "support.own_parts:Box", "store": tmp_path / "store"}
     assert recast.make_actor(log, "0", **box).track_id == "0"
     assert recast.make_actor(log, "0", **box).track_id == "0"
     assert [path.name for path in tmp_path.iterdir()] == ["store"]

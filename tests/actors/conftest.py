@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import pytest
 
-from actors import made_up
 from recast.actors import (
     Actor,
     Asset,
@@ -16,6 +15,7 @@ from recast.actors import (
 )
 from recast.logs import DrivingLog
 from recast.splats import Gaussians
+from support import made_up_actors as made_up
 
 
 @pytest.fixture(scope="session")

@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 import torch
 
-from actors import made_up
 from recast.actors.evidence import Evidence, FreeSpace, Sighting
 from recast.cameras import PinholeCamera
 from recast.geometry import se3
@@ -13,6 +12,7 @@ from recast.logs import Trajectory
 from recast.scene import SceneActor, SkyMap, StreetScene
 from recast.scene.actor import look_at
 from recast.splats import Gaussians, rasterize
+from support import made_up_actors as made_up
 
 CAMERA = PinholeCamera(72, 48, 75.0, 75.0, 36.0, 24.0)
 GREY = 0.4

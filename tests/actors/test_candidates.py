@@ -5,7 +5,6 @@ from functools import partial
 import numpy as np
 import pytest
 
-from actors import made_up
 from recast.actors import Asset, BoxLidarSegmenter, Observation
 from recast.actors.axes import VEHICLE
 from recast.actors.evidence import Evidence
@@ -16,6 +15,7 @@ from recast.core.errors import InputError
 from recast.logs import DrivingLog
 from recast.reconstruction import SceneConfig
 from recast.splats import Gaussians
+from support import made_up_actors as made_up
 
 
 @pytest.fixture(scope="module")

@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 import torch
 
-from metrics.box_world import CAMERA, FACES, MOUNTS, SIZE, box_log, box_shares, scene
 from recast.actors.coverage import NOTHING, Coverage, CoverageMeter
 from recast.geometry import se2, se3
 from recast.scene import SceneActor, SkyMap, StreetScene
 from recast.scene.render import SceneRasterizer
 from recast.splats import CLASSIC, MIP, Gaussians, LowPass
 from recast.splats.sh import C0
+from support.box_world import CAMERA, FACES, MOUNTS, SIZE, box_log, box_shares, scene
 
 CAMERA_FROM_WORLD = se3.inverse(MOUNTS["front"].rig_from_camera)
 WHOLE = scene(tuple(FACES), box_log())

@@ -6,7 +6,6 @@ import cv2
 import numpy as np
 import pytest
 
-from actors import made_up
 from recast.actors import Observation
 from recast.actors.template.body import TemplateBody
 from recast.actors.template.cloud import SurfaceCloud, build_cloud
@@ -21,6 +20,7 @@ from recast.actors.template.lighting import (
 )
 from recast.actors.template.proportions import STYLES, TemplatePlacement
 from recast.geometry.colour import gamma_to_linear, linear_to_gamma
+from support import made_up_actors as made_up
 
 PAINTS = {"white": 0.72, "silver": 0.42, "black": 0.012}
 

@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 import torch
 
-from actors import made_up
 from recast.actors import Actor, insert, turntable
 from recast.actors.insert import contact_shadow
 from recast.core.errors import InputError
@@ -22,6 +21,7 @@ from recast.scene import (
     save_scene,
 )
 from recast.splats import CLASSIC, MIP, Gaussians, rasterize
+from support import made_up_actors as made_up
 
 
 @pytest.fixture

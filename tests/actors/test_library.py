@@ -8,10 +8,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from actors import made_up
-from actors.mesh.made import car as box_car
-from actors.mesh.made import picture, textured_square
-from metrics.test_perceptual import write_clip
 from recast.actors import Actor, Observation, SplatGenerator, make_generator, save_actor
 from recast.actors import library as retrieval
 from recast.actors import library as summaries
@@ -23,6 +19,10 @@ from recast.actors.vehicle_files import vehicle_generator
 from recast.core.errors import InputError
 from recast.runs.sources import generator_source
 from recast.splats import write_ply
+from support import made_up_actors as made_up
+from support.mesh_files import car as box_car
+from support.mesh_files import picture, textured_square
+from support.tiny_clip import write_clip
 
 BLUE = np.array([0.05, 0.08, 0.6])
 BUS = np.array([8.0, 2.3, 2.9])

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 import torch
 
-from actors import made_up
 from recast.actors import Actor, insert
 from recast.actors.coverage import Shares
 from recast.actors.insert import actor_light
@@ -17,6 +16,7 @@ from recast.scene.light import ActorLight, SceneLight, SunBelief, recorded_light
 from recast.scene.light.place import LitSurface
 from recast.scene.light.sun import directions
 from recast.splats import Gaussians
+from support import made_up_actors as made_up
 
 
 @pytest.fixture

@@ -7,7 +7,6 @@ import cv2
 import numpy as np
 import pytest
 
-from actors import made_up
 from recast.actors import (
     BoxLidarSegmenter,
     Observation,
@@ -24,6 +23,7 @@ from recast.logs import DrivingLog, Track
 from recast.reconstruction import SceneConfig
 from recast.runs.actor import ActorMakers, make_actor
 from recast.splats import Gaussians
+from support import made_up_actors as made_up
 
 
 def test_takes_the_largest_view_that_is_whole(observation: Observation, street: DrivingLog) -> None:

@@ -11,7 +11,6 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from actors import made_up
 from recast.actors import Asset, Observation, TemplateGenerator
 from recast.actors.axes import UNIT_CUBE_Y_UP, UNIT_CUBE_Z_UP, VEHICLE, AxisConvention
 from recast.actors.observe import observation_of_view
@@ -21,6 +20,7 @@ from recast.geometry import se3
 from recast.recar.views import pinhole
 from recast.scene.actor import look_at
 from recast.splats import Gaussians
+from support import made_up_actors as made_up
 from support.crops import DISTANCE, FOV_DEG, PIXELS, SIZE, direction, photograph, two_coloured_box
 
 VEHICLE_SHOWN = two_coloured_box()

@@ -5,11 +5,11 @@ import numpy as np
 import pytest
 import torch
 
-from actors import made_up
 from recast.actors import BoxLidarSegmenter, Observation, SegmentationTarget
 from recast.actors.segment import mask_quality
 from recast.geometry import se3
 from recast.splats import Gaussians, rasterize
+from support import made_up_actors as made_up
 
 
 @pytest.fixture(scope="module")

@@ -5,7 +5,6 @@ import pytest
 import torch
 from scipy.ndimage import binary_erosion
 
-from actors import made_up
 from recast.actors import Asset, Observation, TemplateGenerator, turntable
 from recast.actors.actor import Actor
 from recast.actors.icp import outer_surface
@@ -16,6 +15,7 @@ from recast.actors.template.materials import TemplateMaterial, label_body
 from recast.actors.template.proportions import STYLES, candidate_styles, fit_shape
 from recast.scene.actor import look_at
 from recast.splats import Gaussians, rasterize
+from support import made_up_actors as made_up
 
 USUAL = {
     "van": (5.3, 1.9, 2.4),

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 import torch
 
-from actors import made_up
 from recast.actors import Observation, TemplateGenerator
 from recast.actors.observe import observation_of_view
 from recast.actors.template.generator import SurfaceView, balanced, blended
@@ -17,6 +16,7 @@ from recast.cameras import PinholeCamera
 from recast.geometry.colour import gamma_to_linear, linear_to_gamma
 from recast.scene.actor import look_at
 from recast.splats import Gaussians, rasterize
+from support import made_up_actors as made_up
 
 CAMERA = PinholeCamera(320, 200, 360.0, 360.0, 160.0, 100.0)
 NO_POINTS = np.zeros((0, 3))

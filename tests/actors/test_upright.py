@@ -13,7 +13,6 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from actors import made_up
 from recast.actors import Observation, SplatGenerator, axes_of, make_generator, register
 from recast.actors.axes import LEAST_EVIDENCE, postures
 from recast.actors.icp import outer_surface
@@ -28,6 +27,7 @@ from recast.studies.generation.cells import place_canonical
 from recast.synthetic.vehicles import KINDS, sample_vehicle
 from recast.trellis import viewer_frame
 from recast.trellis.slat_vae import RepresentationConfig, offset_perturbation, raw_to_gaussians
+from support import made_up_actors as made_up
 
 SIZES = {
     "sedan": (4.7, 1.85, 1.45),
@@ -93,9 +93,7 @@ def up_in_file(rotation: np.ndarray) -> str:
     return f"{'+' if rotation[axis, 2] > 0 else '-'}{'xyz'[axis]}"
 
 
-@pytest.mark.parametrize(
-    "name", ["template hatchback", "synthetic sedan", "synthetic pickup", "synthetic bus"]
-)
+@pytest.mark.parametrize("name", ["template hatchback", "synthetic pickup"])
 def test_up_is_found_in_all_24_orientations(name: str) -> None:
     points, size = vehicle(name)
     for rotation in ORIENTATIONS:

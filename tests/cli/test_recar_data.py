@@ -7,11 +7,11 @@ from pathlib import Path
 
 import pytest
 
-from recar.photographs import write_photos, write_rows
 from recast.cli.main import main
 from recast.cli.recar_sets import Ingest
 from recast.core.errors import InputError
 from recast.recar import read_set
+from support.vehicle_photographs import write_photos, write_rows
 
 
 def test_bad_photographs_are_left_out_if_asked(

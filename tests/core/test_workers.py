@@ -43,6 +43,7 @@ def test_outcomes_bring_new_jobs() -> None:
     assert done_by(in_this_process) == EXPECTED
 
 
+@pytest.mark.whole
 def test_ray_does_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
     ray: Any = pytest.importorskip("ray")
     monkeypatch.setenv("PYTHONPATH", str(Path(__file__).parents[1]))  # workers import this module

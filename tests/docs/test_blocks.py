@@ -13,9 +13,9 @@ import pytest
 
 import recast
 import recast.cli.main as command_line
-from own_parts import Box
 from recast.splats import write_ply
 from support.doc_blocks import PAGES, REPOSITORY, Block, blocks, commands, faults
+from support.own_parts import Box
 
 SHOWN = [block for page in PAGES for block in blocks(page)]
 PYTHON = [block for block in SHOWN if block.language == "python"]

@@ -8,9 +8,11 @@ from pathlib import Path
 
 import pytest
 
-from faults.children import Ended, Fault, refused_from
-from faults.conftest import STEPS, Unbroken, contents, kept, stamps
 from faults.small_run import small_run
+from support.children import Ended, Fault, refused_from
+from support.unbroken import STEPS, Unbroken, contents, kept, stamps
+
+pytestmark = pytest.mark.whole
 
 WORDS = {
     errno.ENOSPC: "no space left",

@@ -6,11 +6,13 @@ from pathlib import Path
 
 import pytest
 
-from faults.children import KILL, Fault
-from faults.conftest import Unbroken, contents, kept, stamps
 from faults.small_run import small_run
 from recast.core import files
+from support.children import KILL, Fault
 from support.moments import killed_before
+from support.unbroken import Unbroken, contents, kept, stamps
+
+pytestmark = pytest.mark.whole
 
 WHOLE_RUN = (
     ("os.rename run/run.json", ""),

@@ -10,7 +10,6 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from recar.sets import HEIGHT, WIDTH, identity_record, pictures, set_record
 from recast.core.errors import InputError
 from recast.metrics.actor_scores import (
     ACTOR_COLUMNS,
@@ -27,6 +26,7 @@ from recast.recar import begin_set, finish_set, regular_azimuths, write_identity
 from recast.splats import CLASSIC
 from recast.studies.actors import ComparedView, comparison_sheet
 from support.crops import RESERVED, SIZE, photograph, two_coloured_box, write_crops
+from support.vehicle_sets import HEIGHT, WIDTH, identity_record, pictures, set_record
 
 
 def write_set(folder: Path, identities: int = 4, views: int = 12, **changes: object) -> Path:

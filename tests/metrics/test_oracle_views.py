@@ -24,8 +24,17 @@ from recast.metrics.oracle_scores import (
     summarise,
 )
 from recast.metrics.oracle_views import angle_to_nearest, azimuth_elevation, place_views
-
-from .box_world import CAMERA, FACES, MOUNTS, SIZE, BoxOracle, box_log, box_shares, parked_at, scene
+from support.box_world import (
+    CAMERA,
+    FACES,
+    MOUNTS,
+    SIZE,
+    BoxOracle,
+    box_log,
+    box_shares,
+    parked_at,
+    scene,
+)
 
 LOG = box_log()
 REAR_ONLY = ((-1, 0, 0),)

@@ -12,7 +12,6 @@ import torch.nn.functional as functional
 from safetensors.torch import load, load_file, save_file
 from transformers import (
     BitImageProcessor,
-    CLIPConfig,
     CLIPImageProcessor,
     CLIPModel,
     CLIPVisionModelWithProjection,
@@ -28,6 +27,7 @@ from recast.metrics.actor_scores import photographed, score_view
 from recast.metrics.features import FeatureDistance
 from recast.metrics.perceptual import BACKBONES, Lpips, load_distances, load_lpips
 from recast.pretrained import resized
+from support.tiny_clip import write_clip
 
 HEADS = Path(perceptual.__file__).with_name("lpips_heads.safetensors")
 RNG = np.random.default_rng(0)
@@ -209,19 +209,6 @@ def processor(folder: Path, size: int) -> None:
     ).save_pretrained(folder)
 
 
-def write_clip(folder: Path) -> Path:
-    torch.manual_seed(0)
-    small = {"hidden_size": 16, "intermediate_size": 32, "num_hidden_layers": 2}
-    config = CLIPConfig(
-        vision_config={**small, "num_attention_heads": 2, "image_size": 32, "patch_size": 8},
-        text_config={**small, "num_attention_heads": 2, "vocab_size": 20},
-        projection_dim=8,
-    )
-    CLIPModel(config).eval().save_pretrained(folder)
-    processor(folder, 32)
-    return folder
-
-
 def write_dino(folder: Path, registers: bool) -> Path:
     torch.manual_seed(0)
     small = {"hidden_size": 16, "num_hidden_layers": 2, "num_attention_heads": 2}
@@ -237,7 +224,8 @@ def write_dino(folder: Path, registers: bool) -> Path:
 
 
 def test_clip_similarity(tmp_path: Path) -> None:
-    (similarity,) = load_distances(clip=write_clip(tmp_path / "clip"))
+    write_clip(tmp_path / "clip")
+    (similarity,) = load_distances(clip=tmp_path / "clip")
     assert similarity.key == "clip"
     assert similarity(IMAGE, IMAGE) == 100.0
     assert 100.0 > similarity(NEAR, IMAGE) > similarity(FAR * 0.2, IMAGE)
@@ -309,7 +297,8 @@ def test_dino_distance(tmp_path: Path, registers: bool) -> None:
 
 
 def test_folders_that_are_refused(tmp_path: Path) -> None:
-    clip = write_clip(tmp_path / "clip")
+    clip = tmp_path / "clip"
+    write_clip(clip)
     with pytest.raises(InputError, match="is of model_type 'clip', not 'dinov2'"):
         load_distances(dino=clip)
     with pytest.raises(InputError, match=r"config.json: is missing"):

@@ -10,8 +10,7 @@ from hypothesis import strategies as st
 
 from recast.geometry import se2
 from recast.metrics import rollout_metrics
-
-from .rollouts import make_rollout, moved_map, moved_rollout, street
+from support.made_up_rollouts import make_rollout, moved_map, moved_rollout, street
 
 moves = st.tuples(st.floats(-1e3, 1e3), st.floats(-1e3, 1e3), st.floats(-4, 4))
 

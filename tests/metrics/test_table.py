@@ -8,8 +8,7 @@ import pytest
 
 from recast.metrics import COLUMNS, matched_pairs, rollout_metrics, table
 from recast.simulation.rollout import RolloutFailure
-
-from .rollouts import make_rollout, street
+from support.made_up_rollouts import make_rollout, street
 
 
 def crash(arm, ahead=6.0, **changes):

@@ -7,8 +7,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from metrics.box_world import CAMERA, RIG_FROM_CAMERA, SIZE, box_log
-from metrics.rollouts import make_rollout, straight_plans
 from recast.actors.coverage import NOTHING, Coverage
 from recast.cameras import box_rectangle
 from recast.geometry import se2, se3
@@ -17,6 +15,8 @@ from recast.metrics.trust import FEATURES, GivenCamera, HeldOutFrame, RecordedVi
 from recast.metrics.trust.features import SHARES, plan_changes, trust_features
 from recast.simulation import Rollout
 from recast.simulation.coverage import ImageCoverage, RolloutCoverage
+from support.box_world import CAMERA, RIG_FROM_CAMERA, SIZE, box_log
+from support.made_up_rollouts import make_rollout, straight_plans
 
 LOG = box_log()
 """Its camera has an image every 10 m along x, and sees the vehicle from behind."""

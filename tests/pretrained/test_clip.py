@@ -10,9 +10,9 @@ import pytest
 import torch
 from transformers import CLIPModel
 
-from pretrained.tiny import SIDE, write_clip
 from recast.core.errors import InputError
 from recast.pretrained import Clip, ClipImages, in_batches
+from support.tiny_clip import SIDE, write_clip
 
 RNG = np.random.default_rng(0)
 SIZES = [(32, 32), (40, 64), (20, 20), (64, 40), (33, 90)] * 3

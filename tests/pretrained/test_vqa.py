@@ -15,10 +15,10 @@ from PIL import Image
 from safetensors.torch import save_file
 from transformers import CLIPImageProcessor, CLIPVisionModel
 
-from pretrained.tiny import SIDE, TinyClipT5, write_clip_t5
 from recast.core.errors import InputError
 from recast.pretrained import VQA_SCORERS, checked_scores, clip_t5_files, load_vqa_scorer
 from recast.pretrained.clip_t5 import load_clip_t5
+from support.tiny_clip import SIDE, TinyClipT5, write_clip_t5
 
 TEXTS = ["vehicle", "A driving-camera image with realistic vehicles", "x", *("abcdefg")]
 RNG = np.random.default_rng(0)

@@ -10,8 +10,7 @@ from hypothesis import strategies as st
 from recast.cameras import box_rectangle
 from recast.geometry import se3
 from recast.recar import Identity, camera_pose, fitting_distance, pinhole
-
-from .sets import identity_record, set_record
+from support.vehicle_sets import identity_record, set_record
 
 FRONT, LEFT, TOP = np.array([2.0, 0, 0]), np.array([0, 0.9, 0]), np.array([0, 0, 0.7])
 

@@ -25,8 +25,7 @@ from recast_tools.small_model.asset_synthesis import AssetsRecord, make_assets
 from support.crops import write_crops
 from support.line_task import SETTINGS, Line
 from support.target_caches import write_cache
-
-from .sets import write_set
+from support.vehicle_sets import write_set
 
 DAMAGE = {
     "nested": b"[" * 100_000,

@@ -21,9 +21,8 @@ from recast.recar.screening import read_decisions, screened_vehicles, write_scre
 from recast.recar.statistics import write_overview
 from recast.recar.target_cache import TargetCache
 from support.target_caches import write_cache
-
-from .photographs import VIEWS, write_photos
-from .sets import tree, write_set
+from support.vehicle_photographs import VIEWS, write_photos
+from support.vehicle_sets import tree, write_set
 
 NAMES = [
     "../x",

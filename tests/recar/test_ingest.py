@@ -16,9 +16,16 @@ from recast.core.errors import InputError
 from recast.recar import read_set
 from recast.recar.ingest import IngestReport, ingest_photographs
 from recast.recar.ingest_table import IngestSettings
-
-from .photographs import HEIGHT, SETTINGS, VIEWS, WIDTH, photograph, write_photos, write_rows
-from .sets import tree
+from support.vehicle_photographs import (
+    HEIGHT,
+    SETTINGS,
+    VIEWS,
+    WIDTH,
+    photograph,
+    write_photos,
+    write_rows,
+)
+from support.vehicle_sets import tree
 
 
 def ingest(photos: Path, out: Path, **options: object) -> IngestReport:

@@ -11,8 +11,7 @@ from recast.actors.cutout import GrabCutRemover, GroundedSamRemover, remover_of
 from recast.actors.grounded_segmenter import DetectionRule
 from recast.core.errors import InputError
 from support.tiny_networks import write_tiny_networks
-
-from .photographs import car_before_a_wall
+from support.vehicle_photographs import car_before_a_wall
 
 
 def test_networks_cut_out_a_photograph(tmp_path: Path) -> None:

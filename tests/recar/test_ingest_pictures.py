@@ -31,9 +31,14 @@ from recast.recar.ingest_photograph import (
     read_photograph,
 )
 from recast.recar.ingest_table import DUPLICATE_BITS
-
-from .photographs import SETTINGS, car_before_a_wall, over_wall, photograph, write_photos
-from .sets import write_set
+from support.vehicle_photographs import (
+    SETTINGS,
+    car_before_a_wall,
+    over_wall,
+    photograph,
+    write_photos,
+)
+from support.vehicle_sets import write_set
 
 
 def test_exif_turns_a_photograph_upright(tmp_path: Path) -> None:

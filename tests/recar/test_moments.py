@@ -27,12 +27,12 @@ from support.moments import changes_of, killed_before, said_on_a_full_disk, said
 from support.target_places import SETTINGS as TARGETS
 from support.target_places import Places
 from support.tiny_stage import TinyStage, train_quietly, write_tiny_stage
-
-from .photographs import SETTINGS as PHOTOS
-from .photographs import write_photos
-from .sets import tree, write_set
+from support.vehicle_photographs import SETTINGS as PHOTOS
+from support.vehicle_photographs import write_photos
+from support.vehicle_sets import tree, write_set
 
 KILLS = 10
+STAGE = pytest.param("stage", marks=pytest.mark.whole)
 Run = Callable[[Path], object]
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="no fork")
@@ -89,7 +89,7 @@ def runs(photos: Path, stage: TinyStage, places: Places) -> dict[str, Run]:
     }
 
 
-@pytest.mark.parametrize("name", ["ingest", "training", "stage"])
+@pytest.mark.parametrize("name", ["ingest", "training", STAGE])
 def test_kills_change_nothing(runs: dict[str, Run], tmp_path: Path, name: str) -> None:
     """Of targets see test_targets_kills.py."""
     survives(runs[name], tmp_path)
@@ -108,7 +108,7 @@ def test_a_training_killed_between_changes_repeats_its_steps(tmp_path: Path) -> 
         assert untimed(out) == expected, step
 
 
-@pytest.mark.parametrize("name", ["ingest", "targets", "training", "stage"])
+@pytest.mark.parametrize("name", ["ingest", "targets", "training", STAGE])
 def test_a_read_only_disk_is_one_line(runs: dict[str, Run], tmp_path: Path, name: str) -> None:
     out = tmp_path / "out"
     said = said_on_a_read_only_disk(lambda: runs[name](out), out)
@@ -124,7 +124,7 @@ def test_a_read_only_disk_is_one_line(runs: dict[str, Run], tmp_path: Path, name
 
 
 @pytest.mark.parametrize("size", [0, 700])
-@pytest.mark.parametrize("name", ["ingest", "targets", "training", "stage"])
+@pytest.mark.parametrize("name", ["ingest", "targets", "training", STAGE])
 def test_a_disk_without_room_is_one_line_and_the_same_call_goes_on(
     runs: dict[str, Run], tmp_path: Path, name: str, size: int
 ) -> None:
@@ -137,7 +137,7 @@ def test_a_disk_without_room_is_one_line_and_the_same_call_goes_on(
     assert untimed(out) == untimed(tmp_path / "out")
 
 
-@pytest.mark.parametrize("name", ["ingest", "targets", "training", "stage"])
+@pytest.mark.parametrize("name", ["ingest", "targets", "training", STAGE])
 def test_a_second_process_is_told_that_the_first_is_at_work(
     runs: dict[str, Run], tmp_path: Path, name: str
 ) -> None:

@@ -20,9 +20,8 @@ from recast.recar.targets import screened_targets
 from support.target_caches import write_cache
 from support.tiny_stage import tiny_config
 from support.trellis_folder import write_golden_model
-
-from .photographs import write_photos
-from .sets import tree, write_set
+from support.vehicle_photographs import write_photos
+from support.vehicle_sets import tree, write_set
 
 
 def screen(cars: VehicleSet) -> list[dict[str, str]]:

@@ -7,8 +7,7 @@ import pytest
 from rich.console import Console
 
 from recast.recar import set_statistics, statistics_table
-
-from .sets import VIEWS, write_set
+from support.vehicle_sets import VIEWS, write_set
 
 
 def test_the_numbers_of_a_small_set(tmp_path: Path) -> None:

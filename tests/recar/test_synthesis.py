@@ -12,8 +12,7 @@ from recast.cameras import box_rectangle
 from recast.core.errors import InputError
 from recast.geometry import se3
 from recast.recar import SynthesisSettings, VehicleSet, read_set, synthesize_set
-
-from .sets import tree
+from support.vehicle_sets import tree
 
 pytest.importorskip("embreex")
 

@@ -18,8 +18,7 @@ from recast.recar.targets import build_targets
 from recast.trellis import GenerationLimits, generate
 from support.target_places import SETTINGS, Places
 from support.vehicle_pictures import shape
-
-from .sets import tree
+from support.vehicle_sets import tree
 
 
 def test_targets_are_those_of_the_multi_image_pipeline(places: Places, built: TargetCache) -> None:

@@ -12,8 +12,7 @@ from recast.recar.target_cache import Target, TargetCache, TargetRecord
 from recast.recar.targets import target_statistics
 from recast.recar.views import write_arrays
 from support.target_caches import box_target, write_cache
-
-from .sets import tree
+from support.vehicle_sets import tree
 
 
 @pytest.fixture

@@ -21,10 +21,10 @@ from recast.recar.targets import build_targets
 from support.moments import forked
 from support.target_caches import box_target
 from support.target_places import SETTINGS, Places
+from support.vehicle_sets import tree
 
-from .sets import tree
 
-
+@pytest.mark.whole
 @pytest.mark.skipif(sys.platform == "win32", reason="no fork")
 def test_ten_kills_at_random_moments_change_nothing(
     places: Places, built: TargetCache, tmp_path: Path
@@ -61,6 +61,7 @@ class QuickMaker:
         return TargetOutcome(record, target, b"picture")
 
 
+@pytest.mark.whole
 @pytest.mark.skipif(sys.platform == "win32", reason="no fork")
 @pytest.mark.parametrize("after", [False, True])
 def test_a_kill_before_or_after_any_rename_changes_nothing(

@@ -36,8 +36,7 @@ from recast.recar.target_views import (
     resized,
 )
 from recast.splats import Gaussians
-
-from .sets import set_record
+from support.vehicle_sets import set_record
 
 RESOLUTION = 24
 

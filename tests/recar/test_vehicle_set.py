@@ -12,8 +12,16 @@ import pytest
 
 from recast.core.errors import InputError
 from recast.recar import begin_set, read_set, write_identity
-
-from .sets import HEIGHT, VIEWS, WIDTH, identity_record, pictures, set_record, tree, write_set
+from support.vehicle_sets import (
+    HEIGHT,
+    VIEWS,
+    WIDTH,
+    identity_record,
+    pictures,
+    set_record,
+    tree,
+    write_set,
+)
 
 
 def edit(path: Path, **changes: Any) -> None:

@@ -20,8 +20,7 @@ from recast.recar.ingest import IngestReport, ingest_photographs
 from recast.recar.ingest_folder import around, read_poses
 from recast.recar.ingest_table import IngestSettings
 from recast.recar.views import camera_pose
-
-from .photographs import HEIGHT, SETTINGS, VIEWS, WIDTH, photograph, write_rows
+from support.vehicle_photographs import HEIGHT, SETTINGS, VIEWS, WIDTH, photograph, write_rows
 
 COUNT, FRONT = 23, 5  # photographs, and the number of the one ahead of the vehicle
 ANGLES = (np.arange(COUNT) * 360 / COUNT + 3 * np.sin(np.arange(COUNT))) % 360

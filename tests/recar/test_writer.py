@@ -6,8 +6,7 @@ import pytest
 
 from recast.core.errors import InputError
 from recast.recar import begin_set, finish_set, read_set, split_of, write_identity
-
-from .sets import identity_record, pictures, set_record, tree, write_set
+from support.vehicle_sets import identity_record, pictures, set_record, tree, write_set
 
 IDS = ["car-0", "car-1", "car-2"]
 

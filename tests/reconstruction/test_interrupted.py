@@ -10,11 +10,11 @@ from pathlib import Path
 
 import pytest
 
-from faults.children import KILL, Ended, Fault, command
-from faults.conftest import Unbroken, unbroken
 from recast.logs import read_log
 from recast.reconstruction import SceneConfig, TrainingStatus, train_scene, write_config
+from support.children import KILL, Ended, Fault, command
 from support.tiny_street import TINY
+from support.unbroken import Unbroken, unbroken
 
 CONFIG = TINY.model_copy(update={"iterations": 40, "checkpoint_every": 8, "densify_every": 12})
 REFUSED = {errno.ENOSPC: "no space left", errno.EROFS: "read-only", errno.EACCES: "denied"}

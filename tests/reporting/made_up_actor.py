@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 
-from actors import made_up
 from recast.actors import Actor
 from recast.actors.actor import (
     CandidateRecord,
@@ -22,6 +21,7 @@ from recast.logs import Trajectory
 from recast.scene.light.sun import DIRECTIONS
 from recast.splats import CLASSIC
 from reporting.made_up_rollouts import HOSTILE
+from support import made_up_actors as made_up
 
 CANDIDATES = (
     CandidateRecord(

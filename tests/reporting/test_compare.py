@@ -12,7 +12,7 @@ from recast.reporting import ComparedRun, RolloutPart, ScenarioPart, write_compa
 from recast.reporting.compare import differing_settings, metric_lines, outcome_rows
 from recast.simulation.rollout import RolloutFailure
 from reporting.made_up_rollouts import HOSTILE, cut_in, straight_map
-from reporting.test_report import Page, digests
+from support.report_pages import Page, digests
 
 KEY = ("cut-in", "a", "idm-lane-follower")
 ARMS = {"native": "Native", "recast": f"Replaced {HOSTILE}"}

@@ -27,7 +27,7 @@ from recast.reporting.page import PageAssets
 from recast.reporting.summary import checks
 from recast.reporting.truth import angle_label, truth_view
 from reporting.made_up_rollouts import HOSTILE, cut_in, straight_map
-from reporting.test_report import Page
+from support.report_pages import Page
 
 SIDES = {"baseline": "native", "candidate": "replaced", "truth": "oracle"}
 ARMS = {"native": "native actor", "replaced": f"replaced {HOSTILE}", "oracle": "truth (oracle)"}

@@ -38,6 +38,7 @@ def finished(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return out
 
 
+@pytest.mark.whole
 def test_the_page_begins_with_one_moment_seen_three_ways(finished: Path) -> None:
     page = (finished / "run" / "report" / "index.html").read_text()
     first = page[: page.index("Overview")]
@@ -45,6 +46,7 @@ def test_the_page_begins_with_one_moment_seen_three_ways(finished: Path) -> None
         assert name in first.lower()
 
 
+@pytest.mark.whole
 def test_the_metrics_hold_all_arms_and_the_truth(finished: Path) -> None:
     metrics = json.loads((finished / "run" / "metrics.json").read_text())
     assert [r["arm"] for r in metrics["rollouts"]] == ["native", "replaced", "oracle"]
@@ -57,6 +59,7 @@ def test_the_metrics_hold_all_arms_and_the_truth(finished: Path) -> None:
     assert beyond[0]["candidate"]["mask_iou"] > beyond[0]["baseline"]["mask_iou"]
 
 
+@pytest.mark.whole
 def test_the_oracle_films_what_the_cameras_would_see(finished: Path) -> None:
     folder = finished / "run" / "rollouts" / "cut-in-a" / "idm-follower"
     truth, _ = read_video(folder / "oracle" / "front.mp4")
@@ -67,6 +70,7 @@ def test_the_oracle_films_what_the_cameras_would_see(finished: Path) -> None:
     assert abs(truth.astype(float) - replaced.astype(float)).mean() < 30
 
 
+@pytest.mark.whole
 def test_what_is_there_is_used_again(finished: Path) -> None:
     files = {p: p.stat().st_mtime_ns for p in finished.rglob("*.mp4")}
     run(finished)

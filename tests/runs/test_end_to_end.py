@@ -11,6 +11,8 @@ import pytest
 from recast.cli.main import main
 from recast.reporting.video import read_video
 
+pytestmark = pytest.mark.whole
+
 
 def run(log: Path, out: Path) -> int:
     args = ["run", str(log), "--track", "0", "--out", str(out), "--motion", "advancing-a"]

@@ -38,7 +38,7 @@ def test_what_one_machine_made_another_only_reads(
         "--scale",
         "0.5",
         "--generator",
-        "own_parts:Box",
+        "support.own_parts:Box",
         "--refine",
         "False",
     ]

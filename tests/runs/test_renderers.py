@@ -17,12 +17,11 @@ from recast.simulation.oracle_renderer import OracleRenderer, jittered
 from recast.simulation.scene_renderer import SceneRenderer
 from recast.synthetic.rig import make_rig
 from recast.synthetic.world import World
-from simulation.test_composite_renderer import at_camera, ball, street
-from simulation.test_oracle_renderer import state_of
-from synthetic.conftest import small_world
+from support.oracle_states import at_camera, ball, state_of, street
+from support.small_street import small_world
 
 WORDS = ["native", "oracle", "noise-floor", "recast+oracle", "recast+none", "oracle+none"]
-NEGATIVE = "own_parts:Negative"
+NEGATIVE = "support.own_parts:Negative"
 ARMS = {arm.name: arm for arm in (*parse_arms(WORDS), Arm.replaced("box", "truth"))}
 
 

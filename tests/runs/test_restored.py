@@ -9,7 +9,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from own_parts import Negative
 from recast.arrays import Image
 from recast.cameras import CameraMount
 from recast.cli.main import main
@@ -24,10 +23,11 @@ from recast.simulation.renderer import Restorer, RestoringRenderer
 from recast.simulation.scene_renderer import SceneRenderer
 from recast_bridges.neuroncap import planner as ncap_planner
 from support.fake_neuroncap import image_of, planning
+from support.own_parts import Negative
 from support.tiny_served import CAMERA, MOVING, RIG_FROM_CAMERA, make_log, make_scene
 
 LOG = make_log()
-NEGATIVE = "own_parts:Negative"
+NEGATIVE = "support.own_parts:Negative"
 SETUP = RolloutSetup(LOG, MOVING, MOTIONS["cut-in-a"], steps=10, camera_names=("front",))
 
 

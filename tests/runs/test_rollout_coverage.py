@@ -9,8 +9,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from metrics.box_world import FACES, MOUNTS, SKY, box_log, box_shares, scene
-from metrics.rollouts import street
 from recast.actors.coverage import CoverageMeter
 from recast.core import Store
 from recast.core.errors import InputError
@@ -23,6 +21,8 @@ from recast.runs.run_folder import METRICS_FILE
 from recast.runs.scores import RunTrust, read_metrics, write_metrics
 from recast.simulation import MOTIONS, Rollout, RolloutSetup
 from recast.simulation.scene_renderer import SceneRenderer
+from support.box_world import FACES, MOUNTS, SKY, box_log, box_shares, scene
+from support.made_up_rollouts import street
 
 LOG = box_log()
 WHOLE = scene(tuple(FACES), LOG)

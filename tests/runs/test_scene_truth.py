@@ -26,7 +26,7 @@ from recast.synthetic import is_synthetic
 from recast.synthetic.oracle import Oracle, OraclePool
 from recast.synthetic.rig import exposure, make_rig
 from recast.synthetic.world import World
-from synthetic.conftest import small_world
+from support.small_street import small_world
 
 
 @pytest.fixture(scope="module")

@@ -9,8 +9,6 @@ from pathlib import Path
 
 import pytest
 
-from metrics.box_world import box_log
-from metrics.rollouts import make_rollout, street
 from recast.core import Store, files
 from recast.metrics import COLUMNS, rollout_metrics
 from recast.metrics.table import over_common_steps
@@ -21,6 +19,8 @@ from recast.runs.run_folder import METRICS_FILE
 from recast.runs.scores import RunTrust, read_metrics, write_metrics
 from recast.simulation import Rollout, RolloutFailure, save_rollout
 from recast.studies.grid import GridRow
+from support.box_world import box_log
+from support.made_up_rollouts import make_rollout, street
 
 
 def rollout(arm: str, setting: str, steps: int, hit: bool) -> Rollout:

@@ -32,7 +32,7 @@ class Mine(IdmLaneFollower):
         return Plan(super().plan(observation).waypoints * SHARE)
 """
 GENERATOR = """
-from own_parts import Box
+from support.own_parts import Box
 
 class Mine(Box):
     name = "first"
@@ -184,13 +184,14 @@ def test_a_run_and_its_store_go_on_elsewhere(
     assert main(["report", str(tmp_path / "1" / "run")]) == 2
 
 
+@pytest.mark.whole
 def test_two_runs_at_once_make_nothing_twice(tiny_log_folder: Path, tmp_path: Path) -> None:
     """One store, one process each: the slower waits for what the other is making."""
     log, store = tiny_log_folder, tmp_path / "store"
     numbers = []
     for name in ("one", "two"):
         command = options(log, tmp_path / name, "--motion", "advancing-a", "--store", str(store))
-        command += ["--generator", "own_parts:Box"]
+        command += ["--generator", "support.own_parts:Box"]
         notes = tmp_path / f"{name}.notes"
 
         def work(command: list[str] = command, notes: Path = notes) -> None:

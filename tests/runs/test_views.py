@@ -7,12 +7,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from actors import made_up
 from recast.actors import BoxLidarSegmenter, TemplateGenerator, load_actor
 from recast.core.errors import InputError
 from recast.reconstruction import SceneConfig
 from recast.runs.actor import ActorMakers, make_actor
 from recast.runs.config import RunConfig, resolve_config
+from support import made_up_actors as made_up
 
 
 def resolve(views: int | None) -> RunConfig:

@@ -6,14 +6,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-import torch
 
 from recast.cameras import CameraMount
 from recast.geometry import se3
-from recast.logs import Trajectory
-from recast.scene.actor import SceneActor
-from recast.scene.sky import SkyMap
-from recast.scene.street_scene import StreetScene
 from recast.simulation import SimState
 from recast.simulation.oracle_renderer import (
     GeneratedVehicleRenderer,
@@ -21,14 +16,12 @@ from recast.simulation.oracle_renderer import (
     TrueVehicleRenderer,
 )
 from recast.simulation.scene_renderer import SceneRenderer
-from recast.splats import Gaussians
 from recast.synthetic.oracle import Oracle
 from recast.synthetic.rig import exposure, make_rig
 from recast.synthetic.world import World
-from simulation.test_oracle_renderer import state_of
-from synthetic.conftest import small_world
+from support.oracle_states import at_camera, ball, state_of, street
+from support.small_street import small_world
 
-GREY = (0.6, 0.6, 0.6)
 AHEAD_M = 14.0
 
 
@@ -52,32 +45,6 @@ def state(world: World) -> SimState:
     pose[2, 3] = found.world_from_actor[2, 3]
     pose[:3, :3] = pose[:3, :3] @ se3.rotation_z(0.5)
     return replace(found, world_from_actor=pose, others={})
-
-
-def ball(colour: tuple[float, float, float], at: np.ndarray, size: float) -> Gaussians:
-    return Gaussians(
-        means=torch.from_numpy(np.asarray(at)[None]).float(),
-        quats=torch.tensor([[1.0, 0.0, 0.0, 0.0]]),
-        log_scales=torch.full((1, 3), float(np.log(size))),
-        logit_opacities=torch.tensor([12.0]),
-        sh=((torch.tensor(colour) - 0.5) / 0.28209479).reshape(1, 1, 3),
-    )
-
-
-def street(world: World, background: Gaussians, vehicle: Gaussians | None = None) -> StreetScene:
-    """A grey sky around a background, with a model of the target."""
-    own = ball((0.0, 1.0, 0.0), np.zeros(3), 0.5) if vehicle is None else vehicle
-    target = world.vehicles[world.target]
-    times, poses = world.ego.timestamps_us[[0, -1]], target.trajectory.poses[[0, -1]]
-    actor = SceneActor(world.target, own, np.array([4.0, 1.8, 1.5]), Trajectory(times, poses))
-    return StreetScene(background, {world.target: actor}, SkyMap.constant(torch.tensor(GREY)))
-
-
-def at_camera(state: SimState, mount: CameraMount, metres: float) -> np.ndarray:
-    """The place that far ahead of the camera, towards the target."""
-    camera = (state.world_from_rig @ mount.rig_from_camera)[:3, 3]
-    towards = state.world_from_actor[:3, 3] - camera
-    return camera + metres * towards / np.linalg.norm(towards)
 
 
 def test_the_true_vehicle_stands_in_the_street_with_its_shadow(

@@ -11,8 +11,6 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
-from metrics.box_world import CAMERA, MOUNTS, box_log, parked_at
-from metrics.rollouts import make_rollout
 from recast.actors.coverage import NOTHING, Coverage
 from recast.cameras import CameraMount, PinholeCamera
 from recast.core.errors import InputError
@@ -20,6 +18,8 @@ from recast.geometry import se3
 from recast.simulation import MOTIONS, RolloutSetup
 from recast.simulation.coverage import ImageCoverage, RolloutCoverage, rollout_coverage
 from recast.simulation.rollout_files import load_coverage, save_coverage
+from support.box_world import CAMERA, MOUNTS, box_log, parked_at
+from support.made_up_rollouts import make_rollout
 
 SOME = Coverage(40.0, 0.5, 0.25, 0.25)
 IMAGES = (

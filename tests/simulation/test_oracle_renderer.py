@@ -7,13 +7,12 @@ import pytest
 
 from recast.cameras import CameraMount
 from recast.core.errors import InputError
-from recast.geometry import se2
-from recast.simulation import SimState
 from recast.simulation.oracle_renderer import OracleRenderer
 from recast.synthetic.oracle import Oracle, OraclePool
 from recast.synthetic.rig import exposure, make_rig
 from recast.synthetic.world import World
-from synthetic.conftest import small_world
+from support.oracle_states import state_of
+from support.small_street import small_world
 
 WIDTH, HEIGHT = 96, 64
 
@@ -27,23 +26,6 @@ def world() -> World:
 def mounts() -> dict[str, CameraMount]:
     rig = make_rig(WIDTH, HEIGHT)
     return {k: CameraMount(c.camera, c.rig_from_camera) for k, c in rig.cameras.items()}
-
-
-def state_of(world: World, step: int) -> SimState:
-    """The logged state with all other moving vehicles."""
-    poses = {k: v.trajectory.poses[step] for k, v in world.vehicles.items() if not v.parked}
-    actor = poses.pop(world.target)
-    return SimState(
-        step=step,
-        timestamp_us=int(world.ego.timestamps_us[step]),
-        ego=np.zeros(11),
-        log_ego=np.zeros(4),
-        world_from_rig=world.ego.poses[step],
-        track_id=world.target,
-        actor=np.append(se2.from_se3(actor), 9.0),
-        world_from_actor=actor,
-        others=poses,
-    )
 
 
 def test_at_the_logged_state_it_shows_what_the_log_shows(

@@ -5,16 +5,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-import torch
 
-from recast.cameras import PinholeCamera
 from recast.core.errors import InputError
 from recast.geometry import se3
-from recast.logs.types import CameraStream, DrivingLog
 from recast.planning import ConstantVelocity, Plan, PlannerInput
 from recast.planning.gtrs import nuplan_rig
-from recast.scene.actor import SceneActor
-from recast.scene.sky import SkyMap
 from recast.scene.street_scene import StreetScene
 from recast.simulation import (
     MOTIONS,
@@ -25,48 +20,7 @@ from recast.simulation import (
     run_rollout,
 )
 from recast.simulation.scene_renderer import SceneRenderer, through_lenses
-from recast.splats import Gaussians
-from support.synthetic_drives import drive
-
-CAMERA = PinholeCamera(64, 48, 40.0, 40.0, 32.0, 24.0)
-# optical axis along the rig's x, 1.5 m above the ground
-RIG_FROM_CAMERA = se3.from_rotation_translation(
-    [[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]], [1.5, 0.0, 1.0]
-)
-
-
-class NoImages:
-    def __len__(self) -> int:
-        return 0
-
-    def __getitem__(self, index: int) -> np.ndarray:
-        raise IndexError(index)
-
-
-def log_with_camera() -> DrivingLog:
-    stream = CameraStream("front", CAMERA, RIG_FROM_CAMERA, np.zeros(0, np.int64), NoImages())
-    return replace(drive(), cameras={"front": stream})
-
-
-def ball(colour: tuple[float, float, float], at: tuple[float, float, float]) -> Gaussians:
-    return Gaussians(
-        means=torch.tensor([at], dtype=torch.float32),
-        quats=torch.tensor([[1.0, 0.0, 0.0, 0.0]]),
-        log_scales=torch.full((1, 3), -0.7),
-        logit_opacities=torch.tensor([8.0]),
-        sh=((torch.tensor(colour) - 0.5) / 0.28209479).reshape(1, 1, 3),
-    )
-
-
-@pytest.fixture
-def scene() -> StreetScene:
-    log = log_with_camera()
-    actors = {
-        key: SceneActor(key, ball(colour, (0.0, 0.0, 0.0)), track.size, track.trajectory)
-        for (key, track), colour in zip(log.tracks.items(), [(1, 0, 0), (0, 1, 0)], strict=True)
-    }
-    sky = SkyMap.constant(torch.zeros(3))
-    return StreetScene(ball((0.0, 0.0, 1.0), (30.0, 0.0, -30.0)), actors, sky)
+from support.camera_drives import CAMERA, RIG_FROM_CAMERA, log_with_camera
 
 
 def at(x: float, y: float, z: float) -> np.ndarray:

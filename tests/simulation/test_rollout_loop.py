@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from recast.cameras import CameraMount, PinholeCamera, View
+from recast.cameras import CameraMount, View
 from recast.core.errors import InputError
 from recast.geometry import boxes, se2
 from recast.planning import (
@@ -18,7 +18,6 @@ from recast.planning import (
     LogReplay,
     Plan,
     PlannerInput,
-    PlanningContext,
 )
 from recast.simulation import (
     MOTIONS,
@@ -34,12 +33,8 @@ from recast.simulation import (
     save_rollout,
 )
 from recast.simulation.planner_calls import PlannerCalls
+from support.recorders import MOUNTS, CountingRenderer, Recorder
 from support.synthetic_drives import drive
-
-MOUNTS = {
-    "front": CameraMount(PinholeCamera(8, 4, 5.0, 5.0, 4.0, 2.0), np.eye(4)),
-    "left": CameraMount(PinholeCamera(6, 4, 5.0, 5.0, 3.0, 2.0), np.eye(4)),
-}
 
 
 def first_hit(rollout: Rollout) -> int | None:
@@ -50,37 +45,6 @@ def first_hit(rollout: Rollout) -> int | None:
         if area > 1e-9:
             return k
     return None
-
-
-class Recorder:
-    """A planner that drives straight on and keeps what it saw."""
-
-    name = "recorder"
-
-    def __init__(self, needs_images: bool = False) -> None:
-        self.needs_images = needs_images
-        self.inner = ConstantVelocity()
-        self.seen: list[PlannerInput] = []
-        self.context: PlanningContext | None = None
-
-    def reset(self, context: PlanningContext) -> None:
-        self.context = context
-        self.seen = []
-        self.inner.reset(context)
-
-    def plan(self, observation: PlannerInput) -> Plan:
-        self.seen.append(observation)
-        return self.inner.plan(observation)
-
-
-class CountingRenderer(NullRenderer):
-    def __init__(self) -> None:
-        super().__init__(MOUNTS)
-        self.states: list[SimState] = []
-
-    def render(self, state: SimState, camera_names: object) -> dict[str, NDArray[np.uint8]]:
-        self.states.append(state)
-        return super().render(state, camera_names)
 
 
 def test_the_paper_s_loop_is_32_plans_and_160_steps() -> None:

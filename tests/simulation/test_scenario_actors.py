@@ -5,7 +5,6 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
-from test_reactive_motions import line, with_track
 
 from recast.core.errors import InputError
 from recast.planning import ConstantVelocity
@@ -31,6 +30,7 @@ from recast.simulation import (
     scenario_record,
     target_motion,
 )
+from support.controlled_tracks import line, with_track
 from support.synthetic_drives import drive
 
 GOOD = """\

@@ -8,8 +8,6 @@ from pathlib import Path
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
-from test_reactive_motions import Bad, line, with_track
-from test_rollout_loop import CountingRenderer, Recorder
 
 from recast.core.errors import InputError
 from recast.geometry import boxes
@@ -31,6 +29,8 @@ from recast.simulation import (
     save_rollout,
 )
 from recast.simulation.coverage import rollout_coverage
+from support.controlled_tracks import Bad, line, with_track
+from support.recorders import CountingRenderer, Recorder
 from support.synthetic_drives import drive
 
 ACTORS = {

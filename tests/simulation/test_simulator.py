@@ -8,7 +8,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from test_renderer import log_with_camera, scene  # noqa: F401
 
 from recast.cameras import CameraMount, PinholeCamera
 from recast.core.errors import InputError
@@ -38,6 +37,7 @@ from recast.simulation import (
     run_rollout,
     save_rollout,
 )
+from support.camera_drives import log_with_camera
 from support.synthetic_drives import drive
 
 MOUNTS = {"front": CameraMount(PinholeCamera(8, 4, 5.0, 5.0, 4.0, 2.0), np.eye(4))}
@@ -106,7 +106,7 @@ def test_the_simulator_the_loop_and_a_plain_loop_agree(name: str) -> None:
         assert rollout.plan_steps.tolist() == list(range(0, 43, 5))
 
 
-def test_the_loop_of_the_page(scene: StreetScene) -> None:  # noqa: F811
+def test_the_loop_of_the_page(scene: StreetScene) -> None:
     sim = Simulator(
         log_with_camera(),
         scene,
@@ -308,7 +308,7 @@ def test_a_setup_and_a_log_with_settings_are_the_same() -> None:
     assert set(sim.context.cameras) == {"front"} and sim.context.seed == 4
 
 
-def test_a_scale_that_is_no_size(scene: StreetScene) -> None:  # noqa: F811
+def test_a_scale_that_is_no_size(scene: StreetScene) -> None:
     with pytest.raises(InputError, match=r"Simulator: scale: is 0\.0"):
         Simulator(log_with_camera(), scene, {"7": "cut-in"}, scale=0.0)
 

@@ -119,15 +119,17 @@ def test_another_grid_takes_what_the_store_has(finished: Path, logs: list[str]) 
     }
 
 
+@pytest.mark.whole
 def test_two_workers_give_the_same_bytes(finished: Path, logs: list[str], tmp_path: Path) -> None:
     assert main(command(logs, tmp_path / "grid", "--workers", "2")) == 0
     for name in FILES:
         assert (tmp_path / "grid" / name).read_bytes() == (finished / name).read_bytes(), name
 
 
+@pytest.mark.whole
 def test_a_killed_grid_goes_on(finished: Path, logs: list[str], tmp_path: Path) -> None:
     out = tmp_path / "grid"
-    args = command(logs, out, "--planner", "own_parts:Kills")
+    args = command(logs, out, "--planner", "support.own_parts:Kills")
     environment = {
         **os.environ,
         "RECAST_TEST_KILLS": str(tmp_path / "begun"),
@@ -159,7 +161,7 @@ def test_a_failing_planner_is_rows_with_a_reason(
 ) -> None:
     monkeypatch.syspath_prepend(str(TESTS))
     out = tmp_path / "grid"
-    assert main(command(logs[:1], out, "--planner", f"own_parts:{planner}")) == 0
+    assert main(command(logs[:1], out, "--planner", f"support.own_parts:{planner}")) == 0
     found = [r for r in rows(out) if r["motion"] == "advancing"]
     assert len(found) == 2
     assert all(reason in str(r["failure_reason"]) for r in found)

@@ -11,8 +11,6 @@ from xml.etree import ElementTree
 import numpy as np
 import pytest
 
-from metrics.box_world import CAMERA, box_log
-from metrics.rollouts import make_rollout
 from recast.cli.main import main
 from recast.core import Store, files, folder_hash
 from recast.core.errors import InputError
@@ -28,6 +26,8 @@ from recast.studies import BenchScene
 from recast.studies.scene_run import scene_rows
 from recast.studies.trust import judged_rollouts
 from recast.studies.verdicts import write_rows
+from support.box_world import CAMERA, box_log
+from support.made_up_rollouts import make_rollout
 
 CONFIG = RunConfig(
     track="7",

@@ -9,6 +9,8 @@ import pytest
 
 from recast.cli.main import main
 
+pytestmark = pytest.mark.whole
+
 
 @pytest.fixture(scope="module")
 def scene(tiny_log_folder: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:

@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from recar.sets import tree
 from recast.cli.main import main
 from recast.core.errors import InputError
 from recast.metrics import actor_scores
@@ -22,6 +21,7 @@ from recast.studies.generation.report import PAPER_COLUMNS, PAPER_ROWS, STUDY_CO
 from recast.studies.generation.rows import StudyModel, read_rows, view_paths
 from recast.studies.generation.study import StudySettings, run_study, write_inputs
 from support.studies import vehicle, write_vehicle_set
+from support.vehicle_sets import tree
 
 NEAR, PERFECT = "support.studies:near", "support.studies:perfect"
 IDS = ("car-1", "car-2", "car-3")

@@ -12,7 +12,6 @@ import cv2
 import numpy as np
 import pytest
 
-from recar.sets import tree
 from recast.cli.main import main
 from recast.core.errors import InputError
 from recast.metrics.actor_scores import read_cases
@@ -23,6 +22,7 @@ from recast.studies.generation.rows import StudyModel, parse_models
 from recast.studies.generation.study import StudySettings, run_study
 from support.studies import write_vehicle_set
 from support.trellis_folder import write_golden_model
+from support.vehicle_sets import tree
 
 FAR, NEAR = "support.studies:far", "support.studies:near"
 BOTH = {"far": FAR, "near": NEAR}

@@ -9,7 +9,6 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 
-from metrics.rollouts import make_rollout
 from recast.dynamics.state import moved_left
 from recast.metrics import COLUMNS
 from recast.metrics.table import script_difference
@@ -23,6 +22,7 @@ from recast.studies.verdicts import (
     verdicts,
     write_rows,
 )
+from support.made_up_rollouts import make_rollout
 
 
 def row(scene: str, arm: str, setting: str, nc: float, ttc: float) -> GridRow:

@@ -91,6 +91,7 @@ def test_features_and_figure_are_there(finished: Path) -> None:
     assert figure.shape[1] == 2 * 364 - 4 and figure.std() > 20
 
 
+@pytest.mark.whole
 def test_another_number_of_workers_and_a_kill_change_no_byte(
     finished: Path, tiny_log_folder: Path, vehicle: str, tmp_path: Path
 ) -> None:

@@ -8,7 +8,6 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from recar.sets import identity_record, set_record
 from recast.actors import Asset, Observation, TemplateGenerator
 from recast.actors.axes import UNIT_CUBE_Z_UP
 from recast.core.errors import InputError
@@ -16,6 +15,7 @@ from recast.recar import begin_set, finish_set, regular_azimuths, write_identity
 from recast.recar.views import fitting_distance, pinhole
 from recast.splats import Gaussians
 from support.crops import SIZE, photograph, two_coloured_box
+from support.vehicle_sets import identity_record, set_record
 
 VIEWS, WIDTH, HEIGHT = 6, 72, 54
 TARGETS = 4

@@ -15,7 +15,6 @@ CAR_SIZE = np.array([4.2, 1.7, 1.5])
 CAR_START = np.array([9.0, 3.4])  # box centre at time 0, in the lane left of the ego
 CAR_SPEED = 10.0
 PARKED = np.array([24.0, -4.4])
-
 FACES = {  # colours by outward direction in the car frame: what the tests tell sides by
     "front": (230, 200, 40),
     "rear": (190, 30, 30),

@@ -64,3 +64,17 @@ def half_bound(model: nn.Module) -> float:
     )
     assert layers > 0
     return 2 * layers * FLOAT16
+
+
+@torch.no_grad()
+def randomise(model: torch.nn.Module, generator: torch.Generator) -> None:
+    """Weights of unit gain, none zero, so that every layer acts on the output."""
+    for name, parameter in model.named_parameters():
+        is_gain = name.endswith("gamma") or "norm" in name.split(".")[-2]
+        if is_gain and not name.endswith("bias"):
+            parameter.fill_(1.0)
+        else:
+            fan_in = parameter.shape[-1] if parameter.ndim > 1 else 100
+            # drawn in float32: half-precision draws take minutes on a CPU
+            drawn = torch.empty(parameter.shape).normal_(std=fan_in**-0.5, generator=generator)
+            parameter.copy_(drawn)

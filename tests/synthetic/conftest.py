@@ -7,19 +7,9 @@ from pathlib import Path
 import pytest
 
 from recast.logs import DrivingLog, read_log
-from recast.synthetic import populate
 from recast.synthetic.world import World
 from recast.synthetic.write import synthesize_log
-from synthetic.small_street import box_car, small_street
-
-SECONDS = 0.6
-
-
-def small_world(seed: int = 0, seconds: float = SECONDS, kind: str = "urban-straight") -> World:
-    """A world of few triangles."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(populate, "sample_vehicle", box_car)
-        return populate.populate(small_street(kind), kind, seed, seconds)
+from support.small_street import small_world
 
 
 @pytest.fixture(scope="session")

@@ -16,7 +16,7 @@ from recast.synthetic.people import Footing
 from recast.synthetic.surface import Surface, concatenate
 from recast.synthetic.world import World, touching
 from recast.synthetic.write import synthesize_log
-from synthetic.small_street import box_car, small_street
+from support.small_street import box_car, small_street
 
 
 def crowded(people: bool = True, seconds: float = 2.6) -> World:

@@ -20,8 +20,7 @@ from recast.synthetic.populate import (
 )
 from recast.synthetic.traffic import LATERAL_LIMIT, wheelbase
 from recast.synthetic.world import World, hiding, touching
-from synthetic.conftest import small_world
-from synthetic.small_street import small_street
+from support.small_street import small_street, small_world
 
 KINDS = ("urban-straight", "arterial-median", "suburban-curve")
 

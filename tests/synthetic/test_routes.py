@@ -15,7 +15,7 @@ from recast.synthetic.traffic import (
     random_route,
     speed_profile,
 )
-from synthetic.small_street import small_street
+from support.small_street import small_street
 
 
 def lane(name: str, points: np.ndarray) -> Lane:

@@ -17,7 +17,7 @@ from recast.synthetic.rig import CAMERAS, LIDAR, exposure, make_rig, read_truth
 from recast.synthetic.vehicles import sample_vehicle
 from recast.synthetic.world import World
 from recast.synthetic.write import synthesize_log, with_label_noise
-from synthetic.conftest import small_world
+from support.small_street import small_world
 
 FRAMES = 6
 FIVE_SIGMA = 5 * WAYMO_TOP.range_noise

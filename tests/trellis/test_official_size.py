@@ -14,20 +14,7 @@ import torch
 from recast.trellis.checkpoint_sizes import OFFICIAL, new_checkpoint
 from recast.trellis.checkpoints import load_checkpoint, verify_checkpoint
 from recast.trellis.model_files import save_checkpoint
-
-
-@torch.no_grad()
-def randomise(model: torch.nn.Module, generator: torch.Generator) -> None:
-    """Weights of unit gain, none zero, so that every layer acts on the output."""
-    for name, parameter in model.named_parameters():
-        is_gain = name.endswith("gamma") or "norm" in name.split(".")[-2]
-        if is_gain and not name.endswith("bias"):
-            parameter.fill_(1.0)
-        else:
-            fan_in = parameter.shape[-1] if parameter.ndim > 1 else 100
-            # drawn in float32: half-precision draws take minutes on a CPU
-            drawn = torch.empty(parameter.shape).normal_(std=fan_in**-0.5, generator=generator)
-            parameter.copy_(drawn)
+from support.trellis import randomise
 
 
 @pytest.mark.slow

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 import torch
 
-from own_parts import Box
 from recast.logs import DrivingLog, HdMap, map_of
 from recast.planning import make_planner
 from recast.runs.view import log_runner
@@ -16,23 +15,11 @@ from recast.scene import StreetScene
 from recast.scene.actor import SceneActor
 from recast.scene.sky import SkyMap
 from recast.simulation import MOTIONS, Rollout, RolloutSetup, camera_mounts, run_rollout
-from recast.splats import Gaussians
-from recast.splats.sh import C0
 from recast.viewer import FilmFrames, ViewedDrive, ViewInputs, recording, rollout_drive
+from support.gaussian_clouds import grey_gaussians
+from support.own_parts import Box
 
 TARGET = "0"
-
-
-def grey_gaussians(means: np.ndarray, sigma: float, colour: float = 0.5) -> Gaussians:
-    """Round Gaussians of one grey."""
-    n = len(means)
-    return Gaussians(
-        means=torch.from_numpy(means).float(),
-        quats=torch.tensor([[1.0, 0.0, 0.0, 0.0]]).repeat(n, 1),
-        log_scales=torch.full((n, 3), float(np.log(sigma))),
-        logit_opacities=torch.full((n,), 3.0),
-        sh=torch.full((n, 1, 3), (colour - 0.5) / C0),
-    )
 
 
 @pytest.fixture(scope="session")

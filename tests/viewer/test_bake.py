@@ -10,7 +10,7 @@ import torch
 
 from recast.scene.sky import SkyMap
 from recast.viewer.splat_nodes import LARGEST_SIGMA, baked, mean_directions, sky_dome
-from viewer.conftest import grey_gaussians
+from support.gaussian_clouds import grey_gaussians
 
 _C1 = 0.4886025119029199
 

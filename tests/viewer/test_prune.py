@@ -9,7 +9,7 @@ import pytest
 import torch
 
 from recast.viewer.splat_nodes import NEAREST, importance, most_important, path_distances
-from viewer.conftest import grey_gaussians
+from support.gaussian_clouds import grey_gaussians
 
 
 def test_importance_is_opacity_times_area_over_squared_distance() -> None:

@@ -10,7 +10,7 @@ import pytest
 
 from recast.core.errors import InputError
 from recast.viewer import ViewInputs, write_replay
-from viewer.conftest import grey_gaussians
+from support.gaussian_clouds import grey_gaussians
 
 pytest.importorskip("viser")
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import random
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -10,15 +9,8 @@ from pathlib import Path
 import pytest
 from huggingface_hub import constants, file_download  # noqa: F401  # before a test forks
 
-from recast.weights import PUBLISHED, Licence, Weights, WeightsSource
-from weights.hub import Content, Hub
-
-MIT = Licence("MIT", "https://example.org/mit")
-FILES: dict[str, Content] = {
-    "config.json": b'{"model": "toy"}',
-    "deep/weights.safetensors": random.Random(1).randbytes(20_000),
-    "README.md": b"not asked for",
-}
+from recast.weights import PUBLISHED, Weights, WeightsSource
+from weights.hub import FILES, MIT, Hub, entry
 
 
 @pytest.fixture
@@ -35,11 +27,6 @@ def hub(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Hub]:
     monkeypatch.setenv("RECAST_WEIGHTS", str(tmp_path / "weights"))
     yield hub
     hub.stop()
-
-
-def entry(*sources: WeightsSource, name: str = "toy", **more: object) -> Weights:
-    """An entry of the table."""
-    return Weights(name, "tests", ("--generator",), 0.1, sources, "generator", **more)  # type: ignore[arg-type]
 
 
 @pytest.fixture

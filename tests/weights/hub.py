@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import mmap
+import random
 import re
 from dataclasses import dataclass, field
 from functools import cache
@@ -12,6 +13,8 @@ from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 from threading import Thread
 from urllib.parse import parse_qs, unquote, urlsplit
+
+from recast.weights import Licence, Weights, WeightsSource
 
 LARGE = 1000
 """Bytes from which a file is stored as Git LFS does: hashed by SHA-256, and served elsewhere."""
@@ -210,3 +213,18 @@ class Hub:
         request.wfile.write(body)
         request.wfile.flush()
         self.sent += len(body)
+
+
+MIT = Licence("MIT", "https://example.org/mit")
+
+
+FILES: dict[str, Content] = {
+    "config.json": b'{"model": "toy"}',
+    "deep/weights.safetensors": random.Random(1).randbytes(20_000),
+    "README.md": b"not asked for",
+}
+
+
+def entry(*sources: WeightsSource, name: str = "toy", **more: object) -> Weights:
+    """An entry of the table."""
+    return Weights(name, "tests", ("--generator",), 0.1, sources, "generator", **more)  # type: ignore[arg-type]

@@ -10,16 +10,15 @@ from pathlib import Path
 
 import pytest
 
-from faults.children import refused_from
 from recast.core.errors import InputError
 from recast.core.plugins import GENERATORS, PLANNERS, SEGMENTERS
 from recast.pretrained import VQA_SCORERS
 from recast.weights import PUBLISHED, Licence, Weights, WeightsSource, weights_folder
 from recast.weights.fetch import fetch
 from recast.weights.fetched import opened, read_weights_record, verify
+from support.children import refused_from
 from support.moments import killed_before
-from weights.conftest import FILES, MIT, entry
-from weights.hub import Hub, data_of, sha256
+from weights.hub import FILES, MIT, Hub, data_of, entry, sha256
 
 LARGE = "deep/weights.safetensors"
 WHOLE = {name: data_of(FILES[name]) for name in ("config.json", LARGE)}

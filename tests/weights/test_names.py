@@ -11,7 +11,6 @@ import pytest
 import torch
 from safetensors.torch import load_file
 
-from planning.gtrs.conftest import TINY, fan
 from recast.actors import GENERATORS, segmenter_of
 from recast.actors.generate import ImageTo3DGenerator
 from recast.actors.grounded_segmenter import GroundedSamSegmenter
@@ -33,10 +32,10 @@ from recast.weights import (
 )
 from recast.weights.fetch import fetch
 from recast.weights.fetched import read_weights_record
+from support.tiny_gtrs import TINY, fan
 from support.tiny_networks import write_tiny_networks
 from support.trellis_folder import write_golden_model
-from weights.conftest import MIT, entry
-from weights.hub import Content, Hub, sha256
+from weights.hub import MIT, Content, Hub, entry, sha256
 
 
 def publish(hub: Hub, folder: Path, repository: str, into: str = "") -> WeightsSource:

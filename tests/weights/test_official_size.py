@@ -18,7 +18,7 @@ from recast.cli.main import main
 from recast.trellis.checkpoint_sizes import OFFICIAL, new_checkpoint
 from recast.trellis.model_files import save_checkpoint
 from recast.weights import PUBLISHED, weights_folder
-from trellis.test_official_size import randomise
+from support.trellis import randomise
 from weights.hub import Content, Hub
 
 

@@ -2,9 +2,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from actors import made_up
 from recast.actors.evidence import free_space
 from recast.logs import DrivingLog, LidarStream, LidarSweep, Track, Trajectory
+from support import made_up_actors as made_up
 
 CENTRE = np.array([10.0, 0.0, made_up.SIZE[2] / 2])
 

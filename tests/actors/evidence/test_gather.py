@@ -8,7 +8,6 @@ import pytest
 import torch
 from safetensors.torch import load_file, save_file
 
-from actors import made_up
 from recast.actors import BoxLidarSegmenter
 from recast.actors.evidence import Evidence, load_evidence, save_evidence
 from recast.actors.gather_evidence import gather_evidence
@@ -17,6 +16,7 @@ from recast.geometry import se3
 from recast.logs import DrivingLog
 from recast.reconstruction import SceneConfig
 from recast.splats import Gaussians, rasterize
+from support import made_up_actors as made_up
 
 EVERY_FRAME = SceneConfig(scale=1.0, holdout_every=0)
 

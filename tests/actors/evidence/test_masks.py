@@ -4,9 +4,10 @@ import dataclasses
 
 import numpy as np
 
-from actors import made_up, made_up_evidence
+from actors import made_up_evidence
 from recast.actors.evidence import settle_masks
 from recast.splats import Gaussians
+from support import made_up_actors as made_up
 
 AZIMUTHS = np.linspace(0, 2 * np.pi, 9)[:-1]
 

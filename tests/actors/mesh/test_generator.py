@@ -7,12 +7,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import recast.actors.mesh.generator as making
 import torch
+from recast.actors.mesh.sample import sample
 
-import recast.actors.mesh_generator as making
-from actors.mesh.made import CAR, HALVES, SQUARE, Glb, box, car
 from recast.actors import MeshGenerator, Observation, register
-from recast.actors.mesh_generator import Outside, outside, sample, surfels
+from recast.actors.mesh_generator import Outside, outside, surfels
 from recast.actors.mesh_gltf import Glow, MeshMaterial, Triangles
 from recast.actors.template.lighting import CLEAR_DAY
 from recast.core.errors import InputError
@@ -20,6 +20,7 @@ from recast.geometry.colour import linear_to_gamma
 from recast.logs import DrivingLog
 from recast.splats import MIP, Gaussians, rasterize
 from recast.splats.sh import C0
+from support.mesh_files import CAR, HALVES, SQUARE, Glb, box, car
 
 
 def of_box(

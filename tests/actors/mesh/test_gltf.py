@@ -13,7 +13,9 @@ import numpy as np
 import pytest
 import trimesh
 
-from actors.mesh.made import (
+from recast.actors.mesh_gltf import files_of_glb, read_glb
+from recast.core.errors import InputError
+from support.mesh_files import (
     HALVES,
     SQUARE,
     SQUARE_UV,
@@ -24,8 +26,6 @@ from actors.mesh.made import (
     picture,
     textured_square,
 )
-from recast.actors.mesh_gltf import files_of_glb, read_glb
-from recast.core.errors import InputError
 
 RED = np.full((4, 4, 3), [200, 10, 10], np.uint8)
 

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 import trimesh
 
-from actors.mesh.made import box, picture
 from recast.actors.mesh_obj import files_of_obj, read_obj
 from recast.core.errors import InputError
 from recast.geometry.colour import srgb_to_linear
+from support.mesh_files import box, picture
 
 RED = np.full((4, 4, 3), [200, 10, 10], np.uint8)
 SQUARE = "v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\nvt 0 0\nvt 1 0\nvt 1 1\nvt 0 1\n"

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import torch
 
-from actors import made_up, made_up_evidence
+from actors import made_up_evidence
 from recast.actors import Actor, insert, load_actor, save_actor
 from recast.actors.evidence import Evidence
 from recast.actors.refine import Steps, refine
@@ -16,6 +16,7 @@ from recast.core.errors import InputError
 from recast.geometry import se3
 from recast.scene import StreetScene
 from recast.splats import CLASSIC, Gaussians
+from support import made_up_actors as made_up
 
 AROUND = np.linspace(0, 2 * np.pi, 13)[:-1]
 FEW = Steps(shape=40, paint=10, free=20, look_every=10)

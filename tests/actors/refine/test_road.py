@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import torch
 
-from actors import made_up, made_up_evidence
+from actors import made_up_evidence
 from recast.actors import Actor
 from recast.actors.icp import outer_surface
 from recast.actors.insert import contact_shadow, darkened
@@ -16,6 +16,7 @@ from recast.actors.refine.images import make_layers, shadow_evidence
 from recast.scene.light import CastShadow, SceneLight, SunBelief
 from recast.scene.light.sun import AZIMUTHS, DIRECTIONS, directions
 from recast.splats import CLASSIC, Gaussians, concatenate
+from support import made_up_actors as made_up
 
 AROUND = np.linspace(0, 2 * np.pi, 9)[:-1]
 HALF = made_up.SIZE / 2

@@ -3,10 +3,10 @@ from __future__ import annotations
 import numpy as np
 import torch
 
-from actors import made_up
 from recast.actors.refine.descent import Bend, FreeGaussians, PoseOffsets, split, split_rows
 from recast.splats import Gaussians
 from recast.splats.gaussians import quat_to_matrix
+from support import made_up_actors as made_up
 
 
 def points(count: int = 200) -> torch.Tensor:

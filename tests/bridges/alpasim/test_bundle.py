@@ -22,7 +22,7 @@ from recast.synthetic.write import synthesize_log
 from recast_bridges.alpasim import export_bundle
 from recast_bridges.alpasim.bundle import LABELS
 from support.small_log import small_log
-from synthetic.small_street import box_car, small_street
+from support.small_street import box_car, small_street
 
 EPS = 2.0**-52
 TURNS = 64 * EPS

@@ -12,7 +12,6 @@ import torch
 
 from recast.cli.main import main
 from recast.core.errors import InputError
-from recast.geometry import se3
 from recast.logs import DrivingLog, read_log
 from recast.scene import load_scene, render_scene
 from recast_bridges.scenes import import_mtgs, import_mtgs_with_log
@@ -26,6 +25,7 @@ from support.mtgs_scenes import (
     frames,
     published,
     save,
+    save_whole,
 )
 
 
@@ -133,41 +133,6 @@ def test_the_recorded_frames_are_compared_with_the_log(log: DrivingLog, tmp_path
     with pytest.raises(InputError, match="no frame is in log drive"):
         import_mtgs(other, log, tmp_path / "other")
     assert np.allclose(np.array(fine.world_from_scene)[:3, 3], RECON_FROM_OFFSET, rtol=0, atol=1e-9)
-
-
-class Quaternion:
-    """Stands for pyquaternion's class: only its name in the pickle tells them apart."""
-
-    def __init__(self, wxyz: np.ndarray) -> None:
-        self.q = wxyz
-
-
-def save_whole(folder: Path, **camera: Any) -> Path:
-    """A scene whose frames tell all that a log needs."""
-    pickled = frames()
-    mount = made.RIG_FROM_CAMERA
-    lens = {"cam_intrinsic": made.CAMERA.matrix, "distortion": np.array([0.1, 0, 0, 0, 0])}
-    own = {
-        "cam_intrinsic": 2 * made.CAMERA.matrix,
-        "distortion": np.zeros(5),
-        "colmap_param": lens,
-        "sensor2ego_rotation": Quaternion(se3.matrix_to_quat(mount[:3, :3])),
-        "sensor2ego_translation": mount[:3, 3],
-        "width": made.CAMERA.width,
-        "height": made.CAMERA.height,
-        **camera,
-    }
-    for info in pickled["2021-0"]["frame_infos"]:
-        info["cams"] = {"CAM_F0": own}
-        info["track_tokens"], info["gt_names"] = [made.PARKED, "x"], np.array(["bicycle", "sign"])
-    pickled["2021-1"] = {"frame_infos": pickled["2021-0"]["frame_infos"][:3]}
-    path = save(folder, checkpoint(), pickled)
-    file = path / "video_scene_dict.pkl"
-    # Protocol 2 writes the names of classes as lines.
-    data = pickle.dumps(pickled, 2)
-    named = f"{__name__}\nQuaternion\n".encode()
-    file.write_bytes(data.replace(named, b"pyquaternion.quaternion\nQuaternion\n"))
-    return path
 
 
 def test_a_log_is_made_of_the_files_of_the_street(log: DrivingLog, tmp_path: Path) -> None:

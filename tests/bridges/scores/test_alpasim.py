@@ -7,11 +7,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from metrics.rollouts import make_rollout, moved_map, moved_rollout, street
 from recast.geometry import se2
 from recast.logs.hdmap import HdMap
 from recast.simulation.rollout import ControlledActor
 from recast_bridges.scores.alpasim import alpasim_scene_score, off_road
+from support.made_up_rollouts import make_rollout, moved_map, moved_rollout, street
 from support.straight_road import hd_road
 
 SIZE = np.array([4.0, 2.0, 1.5])

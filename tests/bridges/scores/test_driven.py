@@ -7,7 +7,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from metrics.rollouts import make_rollout, moved_rollout, straight_plans
 from recast.dynamics import state, track
 from recast.dynamics.tracker import PDM_REFERENCE
 from recast.geometry import se2
@@ -15,6 +14,7 @@ from recast.planning.map import planner_map
 from recast.planning.pdm import PdmClosed, PdmConfig
 from recast_bridges.scores.driven import driven_epdms
 from recast_bridges.scores.epdms import PlanSituation, planned_poses, score_human, score_plan
+from support.made_up_rollouts import make_rollout, moved_rollout, straight_plans
 from support.straight_road import hd_road, straight, user
 
 QUIRKS = PdmConfig(reference_quirks=True)

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from metrics.rollouts import make_rollout
 from recast.geometry import se2
 from recast.simulation.rollout import ControlledActor
 from recast_bridges.scores.neuroncap import neuroncap_mean, neuroncap_score
+from support.made_up_rollouts import make_rollout
 
 
 def coming(x, speed, states=81, y=0.0):

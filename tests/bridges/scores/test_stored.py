@@ -10,7 +10,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from metrics.rollouts import make_rollout
 from recast.cli.main import main
 from recast.core.errors import InputError
 from recast.logs import DrivingLog, map_of, read_log
@@ -20,6 +19,7 @@ from recast.runs.rollouts import write_failure
 from recast.runs.run_folder import RunFolder
 from recast.simulation import Rollout, RolloutFailure, ego_centre, save_rollout
 from recast_bridges.scores.stored import SCORES, score_rollout, score_rows, score_run
+from support.made_up_rollouts import make_rollout
 
 CONFIG = RunConfig(track="0", motions=("cut-in-a",), planners=("made-up",))
 

@@ -8,7 +8,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from metrics.rollouts import straight_plans
 from recast.dynamics import state
 from recast.planning.map import planner_map
 from recast.planning.pdm import ExtendedScores
@@ -21,6 +20,7 @@ from recast_bridges.scores.two_stage import (
     two_stage,
     write_two_stage,
 )
+from support.made_up_rollouts import straight_plans
 from support.straight_road import hd_road, straight, user
 
 MAPPING = TwoStageMapping("a", "b", (("c", "d"), ("e", "f")))

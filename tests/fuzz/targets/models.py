@@ -8,11 +8,11 @@ import numpy as np
 import torch
 
 from fuzz.target import Target
-from planning.gtrs.conftest import TINY, VIEWS, fan
 from recast.actors.grounded_segmenter import GroundedSamSegmenter
 from recast.planning.gtrs import GtrsPlanner, load_gtrs, new_model, save_gtrs
 from recast.planning.gtrs.scores import read_vocabulary
 from recast.trellis.generate import ImageTo3D
+from support.tiny_gtrs import TINY, VIEWS, fan
 from support.tiny_networks import write_tiny_networks
 from support.trellis_folder import write_golden_model
 

@@ -8,7 +8,6 @@ from pathlib import Path
 import numpy as np
 
 from fuzz.target import Target
-from metrics.rollouts import make_rollout
 from recast.actors.coverage import NOTHING, Coverage
 from recast.core.files import write_json
 from recast.geometry import se3
@@ -34,6 +33,7 @@ from recast_bridges.openx import (
     write_opendrive,
     write_openscenario,
 )
+from support.made_up_rollouts import make_rollout
 from support.tiny_served import make_log
 
 _COVERAGE = RolloutCoverage(

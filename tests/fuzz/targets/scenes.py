@@ -10,15 +10,6 @@ from typing import Any
 import numpy as np
 import torch
 
-from actors import made_up
-from actors.mesh import made
-from bridges.scenes import (
-    test_drivestudio,
-    test_hugsim,
-    test_mtgs,
-    test_odyssey,
-    test_street_gaussians,
-)
 from fuzz.target import Target
 from recast.actors import (
     Actor,
@@ -48,7 +39,16 @@ from recast_bridges.scenes import (
     mtgs_log,
 )
 from recast_bridges.splats.spz import read_spz, write_spz
-from support import trained_scenes
+from support import (
+    drivestudio_scenes,
+    hugsim_scenes,
+    mtgs_scenes,
+    odyssey_scenes,
+    street_gaussians_scenes,
+    trained_scenes,
+)
+from support import made_up_actors as made_up
+from support import mesh_files as made
 
 
 @cache
@@ -75,7 +75,7 @@ def _actor() -> Actor:
 
 @cache
 def _far_log() -> DrivingLog:
-    offset = test_odyssey.ANCHOR - test_odyssey.RECON_FROM_OFFSET
+    offset = odyssey_scenes.ANCHOR - mtgs_scenes.RECON_FROM_OFFSET
     return replace(_log(), world_offset=offset)
 
 
@@ -129,9 +129,8 @@ def _read_triangles(path: Path) -> object:
 
 
 def _write_street_gaussians(folder: Path) -> None:
-    test_street_gaussians.save(folder / "iteration.pth", test_street_gaussians.checkpoint())
-    rows = [(frame, track) for frame in range(trained_scenes.FRAMES) for track in (5, 6, 8, 3)]
-    trained_scenes.write_street_gaussians_folder(folder / "processed", rows)
+    torch.save(street_gaussians_scenes.checkpoint(), folder / "iteration.pth")
+    trained_scenes.write_street_gaussians_folder(folder / "processed", street_gaussians_scenes.ROWS)
 
 
 def _import_street_gaussians(folder: Path, out: Path) -> object:
@@ -159,13 +158,18 @@ def _tensors(node: Any) -> Any:
 
 
 def _write_mtgs(folder: Path) -> None:
-    content = test_mtgs.checkpoint()
-    test_mtgs.save(folder, _tensors(content), test_mtgs.frames())
+    content = mtgs_scenes.checkpoint()
+    mtgs_scenes.save(folder, _tensors(content), mtgs_scenes.frames())
+
+
+def _write_odyssey(folder: Path) -> None:
+    (folder / "street").mkdir()
+    torch.save(_tensors(odyssey_scenes.odyssey()), folder / "street" / "scene.ckpt")
 
 
 def _write_mtgs_log(folder: Path) -> None:
     turn = se3.matrix_to_quat(trained_scenes.RIG_FROM_CAMERA[:3, :3])
-    test_mtgs.save_whole(folder, sensor2ego_rotation=turn)
+    mtgs_scenes.save_whole(folder, sensor2ego_rotation=turn)
 
 
 TARGETS = (
@@ -231,46 +235,46 @@ TARGETS = (
     ),
     Target(
         "drivestudio-checkpoint",
-        lambda f: torch.save(test_drivestudio.checkpoint(), f / "checkpoint_final.pth"),
+        lambda f: torch.save(drivestudio_scenes.checkpoint(), f / "checkpoint_final.pth"),
         lambda f, out: import_drivestudio(f / "checkpoint_final.pth", _log(), out, first_frame=2),
         weight=2.0,
     ),
     Target(
         "mtgs-checkpoint",
         _write_mtgs,
-        lambda f, out: import_mtgs(f / test_mtgs.NAME, _log(), out),
+        lambda f, out: import_mtgs(f / mtgs_scenes.NAME, _log(), out),
         files=("*.ckpt",),
         weight=2.0,
     ),
     Target(
         "odyssey",
-        lambda f: test_odyssey.save(f / "street", _tensors(test_odyssey.odyssey())),
+        _write_odyssey,
         lambda f, out: import_mtgs(f / "street", _far_log(), out),
         weight=2.0,
     ),
     Target(
         "mtgs-frames",
         _write_mtgs,
-        lambda f, out: import_mtgs(f / test_mtgs.NAME, _log(), out),
+        lambda f, out: import_mtgs(f / mtgs_scenes.NAME, _log(), out),
         files=("*.pkl",),
         weight=2.0,
     ),
     Target(
         "hugsim",
-        lambda f: test_hugsim.write(f / "street"),
-        lambda f, out: import_hugsim(f / "street", test_hugsim.make_log(), out, first_frame=1),
+        lambda f: hugsim_scenes.write(f / "street"),
+        lambda f, out: import_hugsim(f / "street", hugsim_scenes.make_log(), out, first_frame=1),
         weight=4.0,
     ),
     Target(
         "mtgs-log",
         _write_mtgs_log,
-        lambda f, out: mtgs_log(f / test_mtgs.NAME),
+        lambda f, out: mtgs_log(f / mtgs_scenes.NAME),
         files=("*.pkl",),
         weight=2.0,
     ),
     Target(
         "hugsim-log",
-        lambda f: test_hugsim.write(f / "street"),
+        lambda f: hugsim_scenes.write(f / "street"),
         lambda f, out: hugsim_log(f / "street"),
         files=("*.json", "*ground_param.pkl", "*unicycle*.pth"),
         weight=2.0,

@@ -9,8 +9,6 @@ import numpy as np
 from PIL import Image
 
 from fuzz.target import Target
-from recar.photographs import SETTINGS, photograph, write_photos
-from recar.sets import write_set
 from recast.core.files import write_json
 from recast.core.images import decode_image, rgba
 from recast.recar.ingest import ingest_photographs
@@ -25,6 +23,8 @@ from recast.recar.vehicle_set import read_set
 from support import target_caches
 from support.crops import write_crops
 from support.tiny_stage import tiny_config
+from support.vehicle_photographs import SETTINGS, photograph, write_photos
+from support.vehicle_sets import write_set
 
 
 def _read_set(folder: Path, out: Path) -> object:

@@ -9,7 +9,6 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pretrained.tiny import write_clip, write_clip_t5
 from recast.metrics.scene_level.scores import (
     NEGATIVE,
     POSITIVE,
@@ -20,6 +19,7 @@ from recast.metrics.scene_level.scores import (
     vqa_margin,
 )
 from recast.pretrained import Clip, load_vqa_scorer
+from support.tiny_clip import write_clip, write_clip_t5
 
 RNG = np.random.default_rng(0)
 FRAMES = [RNG.integers(0, 256, (40, 60, 3), dtype=np.uint8) for _ in range(4)]

@@ -9,7 +9,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from pretrained.tiny import write_clip
 from recast.core.errors import InputError
 from recast.metrics.scene_level.frames import LoggedFrame, RolloutFrame
 from recast.metrics.scene_level.scores import (
@@ -27,6 +26,7 @@ from recast.metrics.scene_level.summary import (
     table_markdown,
     warnings,
 )
+from support.tiny_clip import write_clip
 
 IMAGES, WIDTH = 12, 8
 

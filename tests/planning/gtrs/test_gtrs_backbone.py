@@ -23,8 +23,7 @@ from recast.planning.gtrs import (
 )
 from recast.planning.gtrs.folder import UNUSED, VOCABULARY
 from recast.planning.gtrs.model import VovNet
-
-from .conftest import GOLDEN, TINY
+from support.tiny_gtrs import GOLDEN, TINY
 
 
 def test_names_and_shapes_are_the_released_ones(

@@ -10,8 +10,7 @@ from torch import Tensor
 
 from recast.planning.gtrs import GtrsModel, new_model
 from recast.planning.gtrs.head import TensorCache
-
-from .conftest import TINY, fan
+from support.tiny_gtrs import TINY, fan
 
 
 def _scores(model: GtrsModel, vocabulary: Tensor) -> dict[str, Tensor]:

@@ -27,8 +27,7 @@ from recast.planning.gtrs import (
     write_vocabulary,
 )
 from recast.planning.gtrs.folder import PREFIX, VOCABULARY
-
-from .conftest import TINY, fan
+from support.tiny_gtrs import TINY, fan
 
 State = dict[str, torch.Tensor]
 

@@ -18,8 +18,7 @@ from recast.planning.gtrs import (
     final_score,
     product_score,
 )
-
-from .conftest import fan
+from support.tiny_gtrs import fan
 
 Vectors = dict[str, Tensor]
 TOLERANCE = 1e-5

@@ -10,8 +10,7 @@ from recast.geometry import se2
 from recast.logs import DrivingLog, Track, Trajectory
 from recast.planning.gtrs import GtrsPlanner
 from recast.simulation import MOTIONS, NullRenderer, RolloutSetup, run_rollout
-
-from .conftest import rig
+from support.tiny_gtrs import rig
 
 
 @pytest.fixture

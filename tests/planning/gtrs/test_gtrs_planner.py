@@ -28,8 +28,7 @@ from recast.planning.gtrs import (
     empty_model,
     save_gtrs,
 )
-
-from .conftest import VIEWS, fan, rig
+from support.tiny_gtrs import VIEWS, fan, rig
 
 
 @pytest.fixture

@@ -22,8 +22,7 @@ from recast.planning.gtrs import (
     network_input,
     nuplan_rig,
 )
-
-from .conftest import GOLDEN, VIEWS
+from support.tiny_gtrs import GOLDEN, VIEWS
 
 
 def _blocks(seed: int, height: int, width: int) -> np.ndarray:

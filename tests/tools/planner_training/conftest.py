@@ -6,14 +6,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import shapely
 
 from recast.core.files import write_json
 from recast.dynamics import make_state
 from recast.planning import DrivingCommand
 from recast.planning.gtrs.scores import write_vocabulary
-from recast.planning.map import PlannerLane, PlannerMap
-from recast.planning.pdm import Centreline
 from recast.planning.types import ego_status
 from recast_tools.planner_training.samples import (
     CLUES,
@@ -25,27 +22,10 @@ from recast_tools.planner_training.samples import (
     write_world,
 )
 from recast_tools.planner_training.targets import (
-    FORESEEN,
-    TargetObstacle,
-    TargetRoad,
     score_vocabulary,
 )
 from recast_tools.planner_training.vocabulary import make_vocabulary
-
-
-def straight_road(speed: float = 10.0) -> TargetRoad:
-    """One lane 3.6 m wide along x from -50 to 200 m, with a metre of shoulder on both sides."""
-    line = np.stack([np.arange(-50.0, 200.5, 0.5), np.zeros(501), np.zeros(501)], axis=1)
-    lane = PlannerLane("lane", "block", line, shapely.box(-50, -1.8, 200, 1.8))
-    planner_map = PlannerMap({"lane": lane}, drivable=[shapely.box(-50, -2.8, 200, 2.8)])
-    return TargetRoad(planner_map, ("lane",), Centreline(line), np.full(len(line), speed))
-
-
-def moving(x: float, y: float = 0.0, heading: float = 0.0, speed: float = 0.0) -> TargetObstacle:
-    """A car whose middle is there now and goes on straight."""
-    way = 0.1 * speed * np.arange(FORESEEN + 1)[:, None] * [np.cos(heading), np.sin(heading)]
-    poses = np.concatenate([way + np.array([x, y]), np.full((FORESEEN + 1, 1), heading)], axis=1)
-    return TargetObstacle("car", poses, np.array([4.5, 1.9, 1.5]))
+from support.target_roads import moving, straight_road
 
 
 @pytest.fixture(scope="session")

@@ -19,7 +19,7 @@ from recast_tools.planner_training.targets import (
     score_vocabulary,
 )
 from recast_tools.planner_training.vocabulary import braking, mirror_index, smooth_braking
-from tools.planner_training.conftest import moving, straight_road
+from support.target_roads import moving, straight_road
 
 
 @pytest.mark.parametrize("seed", range(4))

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 
 from recast.geometry import boxes
 from recast.logs import HdMap, Lane
+from recast.synthetic import populate
 from recast.synthetic.surface import Surface, concatenate
-from recast.synthetic.world import ParkingSpot, Sky, Street, VehicleModel
+from recast.synthetic.world import ParkingSpot, Sky, Street, VehicleModel, World
 
 WIDTH = 3.5
 BLOCK = 40.0
@@ -89,3 +91,13 @@ def _ground() -> Surface:
         for side_y in (-18.0, 18.0)
     ]
     return concatenate([plane, *houses])
+
+
+SECONDS = 0.6
+
+
+def small_world(seed: int = 0, seconds: float = SECONDS, kind: str = "urban-straight") -> World:
+    """A world of few triangles."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(populate, "sample_vehicle", box_car)
+        return populate.populate(small_street(kind), kind, seed, seconds)
