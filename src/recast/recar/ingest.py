@@ -57,7 +57,6 @@ class IngestReport:
     """What came of it.
 
     Attributes:
-        vehicle_set: the finished set.
         skipped: why a vehicle is not in it, by its name.
         doubts: what a person should look at, by identity.
     """
@@ -88,14 +87,11 @@ def ingest_photographs(
     files are the same for any number of workers.
 
     Args:
-        photos: folder that holds the table and a folder for each vehicle.
         out: folder of the set; new, empty, or a set of the same settings.
         remover: background remover for photographs in which nothing is transparent; None refuses
             them.
         table: table as a CSV or JSON file; None finds it beside the folders.
-        skip_bad: leave bad vehicles out and finish the set.
         on_bad: called with the name and the fault of each bad vehicle.
-        progress: called with pictures done and all pictures.
 
     Raises:
         InputError: bad vehicles where they are not skipped, no good ones, a table that cannot be

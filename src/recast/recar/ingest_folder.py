@@ -241,11 +241,8 @@ def pick_photographs(
     vehicle's folder, or azimuths from its row.
 
     Args:
-        photos: folder that holds a folder for each vehicle.
         row: row that names the photograph that shows the front, by its number in natural order.
-        views: number of views of the set.
         within_deg: degrees by which a photograph may be off.
-        layout: layout whose published size is looked for.
 
     Raises:
         InputError: photographs or poses are missing, the front is not named, the cameras do not go

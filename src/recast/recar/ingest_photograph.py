@@ -109,10 +109,8 @@ class PhotographCandidate:
     """A vehicle to bring in.
 
     Attributes:
-        row: row of the table.
         photographs: files of the photographs, by rising azimuth.
         masks: mask of each photograph, None where there is none; empty where there are none at all.
-        doubts: what a person should look at.
     """
 
     row: VehicleRow
@@ -280,7 +278,6 @@ def outline_doubts(alphas: Sequence[Image], names: Sequence[str]) -> tuple[str, 
 
     Args:
         alphas: (H, W) uint8 of the views at regular azimuths, none zero everywhere.
-        names: names of the photographs.
     """
     masks = [_cut(alpha) for alpha in alphas]
     areas = [int((alpha > 127).sum()) for alpha in alphas]

@@ -49,7 +49,6 @@ class WalkaroundLayout:
     """A data set of walk-arounds.
 
     Attributes:
-        title: its name, for people.
         width, height: width and height of the published photographs in pixels, either way up.
     """
 
@@ -73,8 +72,6 @@ class IngestSettings:
 
     Attributes:
         licence: licence of the pictures; also that of a vehicle whose row names none.
-        source: source of the pictures, for people.
-        views: photographs of each vehicle.
         width, height: width and height of every picture in the set, in pixels.
         clockwise: whether the photographs go around the vehicle clockwise, seen from above.
         elevation_deg: elevation of the camera, where it was measured.
@@ -152,11 +149,8 @@ class VehicleRow(Record):
     """What is known about one vehicle.
 
     Attributes:
-        id: its name in the set.
         folder: folder with its photographs, where it is not named by the id.
         kind: body type, such as "sedan".
-        category: category of the vehicle, as in logs.
-        colour: colour name.
         length_m, width_m, height_m: length, width and height of its box; all or none.
         distance_m: distance from the camera to the box centre.
         split: split of the vehicle, where it must not be drawn by the hash.

@@ -59,7 +59,6 @@ class RealView:
     """One photograph of a vehicle; decoded when asked for.
 
     Attributes:
-        image, mask: files of the photograph and of its mask.
         camera: rectified pinhole camera of the picture.
         actor_from_camera: (4, 4), actor frame: box centre, x forward, y left, z up.
     """
@@ -86,7 +85,6 @@ class RealVehicle:
     """A vehicle and its photographs.
 
     Attributes:
-        id: name of its folder.
         size: (3,) length, width, height of its box, metres.
         inputs, reserved: its views; at least one of each.
     """

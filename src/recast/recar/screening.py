@@ -48,7 +48,6 @@ class ScreenedVehicle:
     """What a person sees of one vehicle.
 
     Attributes:
-        id: id of the vehicle.
         figures: columns of the table; the same names for all vehicles.
         verdict: `PASSED`, or the reason why an automatic check doubts the vehicle.
         picture: (H, W, 3) uint8, of one size for all vehicles.
@@ -75,7 +74,6 @@ def read_decisions(folder: Path, known: Collection[str]) -> dict[str, Decision]:
     """What a person decided about vehicles, by id; empty if there is no screening.csv.
 
     Args:
-        folder: folder of a vehicle set or of a target cache.
         known: ids of all its vehicles.
 
     Raises:
@@ -94,7 +92,6 @@ def write_screening(
     """Write the table and the sheets; `keep` and all other columns of the person stay.
 
     Args:
-        folder: folder of a vehicle set or of a target cache.
         known: ids of `vehicles`.
         vehicles: vehicles in the order of the table; taken one by one.
         progress: called with vehicles done and all vehicles.

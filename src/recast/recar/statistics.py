@@ -36,8 +36,6 @@ class SetStatistics:
     """Counts over a set.
 
     Attributes:
-        bytes: size of all picture files in bytes.
-        splits: numbers of identities by split.
         kinds, colours: numbers of identities by kind and by colour, the most frequent first.
         sizes: least, median and greatest length, width, height in metres (3, 3), or None where no
             identity has a size.

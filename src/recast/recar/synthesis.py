@@ -60,10 +60,8 @@ class SynthesisSettings:
 
     Attributes:
         seed: seed of everything random, the split too.
-        views: pictures of each identity.
         width, height: width and height of the pictures, in pixels.
         kinds: kinds of vehicles, drawn evenly; as often as on the road where none is named.
-        licence: licence of the pictures.
         held_out: share of the identities that is never trained on.
     """
 
@@ -118,10 +116,7 @@ class PlannedIdentity:
     """One identity to make.
 
     Attributes:
-        id: its name in the set.
-        group: what makes its shape.
         seed: seed of its shape and light; depends on nothing but the set's seed and its own place.
-        split: split, decided beforehand.
         mesh: mesh file, of the group "mesh".
         mesh_axes: its forward and up axes.
     """
@@ -215,9 +210,7 @@ def synthesize_set(
 
     Args:
         out: folder of the set; new, empty, or a set of the same settings.
-        vehicles: number of parametric vehicles.
         shapes: number of other shapes: furniture, signs and the like.
-        meshes: closed meshes of vehicles.
         mesh_axes: their forward and up axes, such as "-y,z"; None takes "z,y" for glTF and
             "x,z" for all others.
         progress: called with the pictures of finished identities, and of all.

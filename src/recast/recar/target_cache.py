@@ -78,8 +78,6 @@ class CacheRecord(Record):
 
     Attributes:
         complete: False while targets are still being made.
-        vehicle_set: name of the set.
-        model: what made the targets.
         mode: how the views were used.
         views_deg: azimuths of the pictures that were used, in the order of `VIEWS_DEG`.
         structure_sampler, latent_sampler: samplers of structure and latents, as they ran.
@@ -88,7 +86,6 @@ class CacheRecord(Record):
         max_voxels: most voxels of a structure; more of them are too many.
         heading: direction in which vehicles of the model look, see `TargetSettings`; +x of caches
             that do not say, which assumed it.
-        filter: the quality filter.
         identities, failures: number of vehicles with a record, and of those among them without
             a target; None while targets are being made.
     """
@@ -115,7 +112,6 @@ class TargetRecord(Record):
     """Contents of records/ID.json: one vehicle. Written last: who has one is done.
 
     Attributes:
-        kind, colour: labels of the vehicle, for people.
         seed: seed that made the target, after retries; that of the first try where it failed.
         voxels: number of active voxels; 0 where it failed.
         gaussians: number of decoded Gaussians; 0 where it failed.
@@ -193,10 +189,7 @@ class TargetCache:
     """Targets of the vehicles of a set.
 
     Attributes:
-        folder: folder of the cache.
-        record: contents of cache.json.
         records: records of the vehicles that are done, by id, sorted when the cache was opened.
-        decisions: decisions of a person, by id.
     """
 
     folder: Path
@@ -209,7 +202,6 @@ class TargetCache:
         """Read the records of a cache; latents are read when asked for.
 
         Args:
-            folder: folder of the cache.
             complete: whether to refuse one in the making.
 
         Raises:
@@ -293,7 +285,6 @@ class TargetCache:
         """Add a vehicle; its record comes last, so that a kill leaves it either done or to do.
 
         Args:
-            record: record of the vehicle.
             target: target of the vehicle; None where there is none.
             preview: contact sheet as a PNG.
 

@@ -29,7 +29,6 @@ from recast.recar.target_quality import (
 )
 from recast.recar.target_views import (
     EncodedView,
-    Viewpoint,
     find_heading,
     of_picture,
     render,
@@ -37,7 +36,6 @@ from recast.recar.target_views import (
     turned,
 )
 from recast.recar.vehicle_set import Split
-from recast.splats import Gaussians
 from recast.trellis import (
     GeneratedVehicle,
     GenerationLimits,
@@ -151,10 +149,6 @@ class ModelSource:
             latent_std=std,
         )
 
-    def pipeline(self) -> PipelineRecord:
-        """pipeline.json, for its samplers."""
-        return read_pipeline(self.folder)
-
     def _files(self, pipeline: PipelineRecord) -> Iterator[Path]:
         yield self.folder / PIPELINE_FILE
         roles = list(GENERATION_ROLES)
@@ -182,9 +176,7 @@ class VehicleTask:
     """A vehicle to make a target of.
 
     Attributes:
-        id, split, kind, colour: see `TargetRecord`.
         views: front, rear, left and right view; fewer where one could not be read.
-        failure: reason why there is nothing to do.
     """
 
     id: str
@@ -204,15 +196,13 @@ class TargetOutcome:
     preview: bytes | None = field(default=None, repr=False)
 
 
+@dataclass(frozen=True)
 class TargetMaker:
     """Makes targets with a model, and a score if there is a quality filter."""
 
-    def __init__(
-        self, model: ImageTo3D, settings: TargetSettings, score: QualityScore | None
-    ) -> None:
-        self._model = model
-        self._settings = settings
-        self._score = score
+    _model: ImageTo3D
+    _settings: TargetSettings
+    _score: QualityScore | None
 
     @classmethod
     def load(
@@ -336,14 +326,13 @@ def contact_sheet(candidate: TargetCandidate) -> bytes:
         view = turned(candidate.viewpoints[index], candidate.heading_deg)
         shown = resized(of_picture(candidate.pictures[index]), TILE).before(_GREY)
         rows[0].append(_captioned(shown, f"image: {_CAPTIONS[column]}"))
-        rows[1].append(_captioned(_tile(candidate.gaussians, view), "target"))
-        rows[2].append(_tile(candidate.gaussians, turned(view, 45.0)))
+        # Not framed: floaters and a target of the wrong size must be seen.
+        there, further = (
+            render(candidate.gaussians, one, TILE).before(_GREY) for one in (view, turned(view, 45))
+        )
+        rows[1].append(_captioned(there, "target"))
+        rows[2].append(further)
     return encode(np.vstack([np.hstack(row) for row in rows]))
-
-
-def _tile(gaussians: Gaussians, viewpoint: Viewpoint) -> Image:
-    # Not framed: floaters and a target of the wrong size must be seen.
-    return render(gaussians, viewpoint, TILE).before(_GREY)
 
 
 def _captioned(tile: Image, text: str) -> Image:

@@ -67,7 +67,6 @@ class TargetCandidate:
     """A target to judge.
 
     Attributes:
-        target: its latents and voxels.
         gaussians: decoded Gaussians, in the unit cube.
         pictures: front, rear, left and right picture that it was made from; RGBA with straight
             alpha.
@@ -87,7 +86,6 @@ class Quality:
     """What a score says; more is better.
 
     Attributes:
-        score: score of the target.
         flipped: score with front and rear exchanged; None where the score cannot tell.
         parts: what the score is made of, by name.
     """
@@ -238,7 +236,6 @@ class AestheticScore:
 
     Args:
         embedding: function from pictures to (N, 768) image embeddings of CLIP.
-        network: chain of linear layers.
     """
 
     name = "improved-aesthetic-predictor"

@@ -231,7 +231,6 @@ def find_heading(
 
     Args:
         gaussians: Gaussians of the target, in the unit cube, z up.
-        pictures: pictures of the vehicle, RGBA with straight alpha.
         viewpoints: viewpoints that the pictures were taken from, azimuth 0 ahead of the vehicle.
     """
     wanted = [framed(of_picture(picture), _PIXELS) for picture in pictures]

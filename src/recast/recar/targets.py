@@ -33,6 +33,7 @@ from recast.recar.target_maker import (
 )
 from recast.recar.target_views import encoded_view, nearest_views
 from recast.recar.vehicle_set import SPLITS, VehicleSet, first_difference
+from recast.trellis.checkpoints import read_pipeline
 from recast.trellis.generate import TRAINED_VOXEL_SHARE
 
 _PREVIEW = (348, 261)  # pixels of a target's contact sheet on the sheets of the screening
@@ -62,9 +63,6 @@ def build_targets(
             threshold of the filter is taken over without making anything anew.
         workers: processes on this machine, or actors of the cluster.
         ray: address of a Ray cluster, see `recast.core.workers.on_ray`.
-        identities: only these vehicles; all where not given.
-        retry_failures: try again what failed before.
-        progress: called as vehicles are done.
 
     Raises:
         InputError: no views near the four sides, unknown vehicles, a model or weights that cannot
@@ -115,7 +113,7 @@ def _wanted(vehicles: VehicleSet, identities: Collection[str] | None) -> list[st
 def _cache_record(
     vehicles: VehicleSet, views: tuple[int, ...], model: ModelSource, settings: TargetSettings
 ) -> CacheRecord:
-    made_by, pipeline = model.record(), model.pipeline()
+    made_by, pipeline = model.record(), read_pipeline(model.folder)
     front, rear, left, right = (vehicles.record.azimuths_deg[index] for index in views)
     return CacheRecord(
         complete=False,
@@ -184,7 +182,6 @@ class TargetStatistics:
     """Figures of a cache.
 
     Attributes:
-        done: vehicles with a record.
         failures: reasons with how often, the most frequent first.
         rejected: number of targets rejected by a person.
         below: number of targets that are not rejected, but below the threshold.

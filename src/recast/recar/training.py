@@ -71,10 +71,7 @@ class StageRequest:
     """What is trained, from what, into which folder.
 
     Attributes:
-        config: configuration of the stage.
         model: folder in the published layout that training starts from.
-        targets: cache of targets.
-        pictures: vehicle set, or folder of training assets.
         out: folder of the new model; one of the same training is continued.
         image_encoder: weights of the published encoder, where `model` has none.
         device: device such as "cuda:0"; None takes CUDA where there is some.

@@ -34,7 +34,6 @@ class TrainingAsset:
     """One asset.
 
     Attributes:
-        kind: kind of the vehicle or shape.
         size: (3,) extents in the unit cube before the asset was centred, longest 1.
         coords: (T, 3) uint8 voxels of the visible surface, lexicographic.
         features: (T, 17) float16, see `FEATURES`; colours and normals in [-1, 1], the centroid in
@@ -264,9 +263,6 @@ class ConditionTokens:
     training, whose memory is empty, would not come out the same.
 
     Attributes:
-        encoder: turns crops into tokens.
-        source: source of the pictures.
-        device: device of the encoder.
         frozen: whether to encode without gradients.
         kept_bytes: most bytes of tokens kept; nothing is dropped, what comes later is encoded each
             time.

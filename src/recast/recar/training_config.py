@@ -187,10 +187,6 @@ def read_stage_config(path: Path) -> StageConfig:
 def chosen_stage(stage: str | None, file: Path | None) -> StageConfig:
     """The stage that a command names, or a file; exactly one of them.
 
-    Args:
-        stage: name of the stage, one of `COMMAND_NAMES`.
-        file: file of the stage, see `read_stage_config`.
-
     Raises:
         InputError: none or both are given, or the file is wrong.
     """
@@ -214,8 +210,6 @@ class FlowRecord(Record):
     """One flow of a stage.
 
     Attributes:
-        steps: number of steps done.
-        parameters: number of trained parameters.
         seconds: seconds of wall time over all log lines, evaluation and sheets included.
         last: means of the last log line.
     """
@@ -230,7 +224,6 @@ class StageInputs(Record):
     """What a stage was trained from; a resumed one must be from the same.
 
     Attributes:
-        config: configuration of the stage.
         model, targets, pictures: names of the folders, for people.
         model_sha256: SHA-256 of `pipeline.json` and all model files.
         targets_sha256: SHA-256 of `cache.json`, all records and the ids that a person left out.
@@ -257,16 +250,11 @@ class TrainingRecord(Record):
 
     Attributes:
         complete: False while the stage is in training.
-        inputs: what it was trained from.
-        weights: kind of weights that the new model holds.
         unscreened: number of targets that were trained on though no person had decided about them;
             None where there was nothing to screen, such as for training assets, and in older
             records.
-        flows: cost of each flow.
         processes: number of processes that trained together, last time.
-        device: device that trained.
         peak_bytes: most memory in use, last time; of the accelerator, or of the first process.
-        torch, python: versions of PyTorch and Python.
     """
 
     format: Literal["recast-training"] = "recast-training"

@@ -89,7 +89,6 @@ class LatentFlow:
     """Structured latents on the voxels of the target, normalised as the checkpoint says.
 
     Attributes:
-        model: network of the flow.
         mean, std: (C,) mean and standard deviation of the latents, as the checkpoint gives them.
     """
 
@@ -127,11 +126,7 @@ class FlowTask:
     accumulated or go to other processes, balanced by voxels.
 
     Attributes:
-        flow: flow that is trained.
-        targets: cache of targets.
         identities: vehicles to train on; each has pictures.
-        tokens: tokens of the conditions.
-        objective: batch, times, dropping.
         perturb: function that alters the picture of a condition; None leaves all clean.
         clean_share: probability rho that a condition is left clean all the same.
         encoder: encoder that is trained with the flow under the name "image_encoder"; its tokens
@@ -216,7 +211,6 @@ class ConditionGap:
     a gap of zero. Small flows fall into that for good, so it is watched from the start.
 
     Args:
-        task: task whose flow is measured.
         tokens: tokens of held-out pictures.
         identities: held-out vehicles, at least two.
     """
@@ -300,56 +294,51 @@ def _captioned(tile: Image, caption: str) -> Image:
     return sheet
 
 
+@dataclass
 class StageSheets:
     """Draws a sheet after every so many steps, with the weights that would be written then.
 
-    Args:
-        model: model whose flow is in training.
-        targets: cache of targets.
+    Attributes:
         identities: held-out vehicles, a row each.
-        tokens: tokens of their pictures.
         stem: stem of the files: path without the step.
         every: number of steps between sheets.
         average: whether the moving average is what is written.
     """
 
-    def __init__(
-        self,
-        model: ImageTo3D,
-        targets: TargetCache,
-        identities: Sequence[str],
-        tokens: ConditionTokens,
-        stem: Path,
-        every: int,
-        average: bool,
-    ) -> None:
-        self._model, self._targets, self._tokens = model, targets, tokens
-        self._stem, self._every, self._average = stem, every, average
+    model: ImageTo3D
+    targets: TargetCache
+    identities: Sequence[str]
+    tokens: ConditionTokens
+    stem: Path
+    every: int
+    average: bool
+
+    def __post_init__(self) -> None:
         rng = np.random.default_rng(_SEED)
-        self._rows = [self._row(one, rng) for one in identities]
+        self._rows = [self._row(one, rng) for one in self.identities]
 
     def __call__(self, state: TrainingState) -> None:
         """Draw a sheet where one is due."""
-        if state.step % self._every:
+        if state.step % self.every:
             return
-        with _written_weights(state, average=self._average):
-            sheet = sample_sheet(self._model, self._rows, _SEED)
-        path = self._stem.with_name(f"{self._stem.name}-{state.step:07d}.png")
+        with _written_weights(state, average=self.average):
+            sheet = sample_sheet(self.model, self._rows, _SEED)
+        path = self.stem.with_name(f"{self.stem.name}-{state.step:07d}.png")
         write_bytes(path, encode(sheet))
 
     def _row(self, identity: str, rng: np.random.Generator) -> ProgressRow:
-        source = self._tokens.source
+        source = self.tokens.source
         view = ConditionView(identity, int(rng.integers(source.count(identity))))
-        target, device = self._targets.target(identity), self._model.device
+        target, device = self.targets.target(identity), self.model.device
         latent = SparseTensor.stack(
             [torch.from_numpy(target.coords).to(device)],
             [torch.from_numpy(target.latent).to(device)],
         )
         return ProgressRow(
             identity,
-            self._tokens.crop(view, None, rng),
+            self.tokens.crop(view, None, rng),
             source.picture(identity, view.index),
-            self._model.decode(latent)[0].to("cpu"),
+            self.model.decode(latent)[0].to("cpu"),
         )
 
 

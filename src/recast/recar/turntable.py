@@ -152,7 +152,8 @@ def fit_set(
     fits: dict[str, TurntableFit | InputError] = {}
     for name, identity in vehicle_set.identities.items():
         try:
-            alphas = [_alpha(identity, view) for view in range(vehicle_set.record.views)]
+            views = range(vehicle_set.record.views)
+            alphas = [np.ascontiguousarray(identity.view(view)[..., 3]) for view in views]
             fits[name] = fit_turntable(alphas, vehicle_set.record.azimuths_deg, name, fov_deg)
         except InputError as error:
             fits[name] = error
@@ -214,10 +215,6 @@ def _check_alike(
         if abs(value - median) > most:
             problem = f"is {value:.1f}, but the median of the set is {median:.1f}"
             raise InputError(name, field, problem, "make a set for each camera")
-
-
-def _alpha(identity: Identity, view: int) -> Image:
-    return np.ascontiguousarray(identity.view(view)[..., 3])
 
 
 def _shifted(identity: Identity, view: int, centre: Array) -> Image:

@@ -97,7 +97,6 @@ class SetRecord(Record):
     Attributes:
         complete: False while identities are still being added.
         licence: SPDX identifier or words; every use of the pictures needs it.
-        source: source of the pictures, for people.
         identities: number of identities that there are, or will be.
         azimuths_deg: azimuths of the camera about the vehicle, one for each view: 0 ahead of it, 90
             to its left; regular and rising.
@@ -181,8 +180,6 @@ def split_of(
     under the same name and seed agree about it.
 
     Args:
-        identity: name of the identity.
-        seed: seed of the split.
         share: share of identities that are held out, in [0, 1].
         index: its place in a sequence that only ever grows at its end. The first two are set by
             hand, one for training and one held out, so that neither part of a small set is empty.
@@ -269,7 +266,6 @@ class VehicleSet:
 
         Args:
             decode: also find pictures cut short and alpha that is zero everywhere; slow.
-            progress: called with pictures done and all pictures.
 
         Raises:
             InputError: the first picture that is wrong.
@@ -321,20 +317,14 @@ def read_identities(folder: Path, record: SetRecord) -> dict[str, Identity]:
         one = read_record(path / IDENTITY_FILE, IdentityRecord, SET_VERSION, _MEND)
         found = Identity(path, one, record)
         if one.id in identities:
-            _refuse_twice(identities[one.id], found)
+            first = identities[one.id]
+            how = "the set twice" if first.record.split == one.split else "both splits"
+            problem = f"{one.id} is in {how}, also as {first.folder.name}"
+            raise InputError(path / IDENTITY_FILE, "id", problem, "keep one of the two folders")
         identities[one.id] = found
     for identity in identities.values():
         _check_folder(identity)
     return dict(sorted(identities.items()))
-
-
-def _refuse_twice(first: Identity, second: Identity) -> None:
-    splits = {first.record.split, second.record.split}
-    problem = (
-        f"{second.record.id} is in {'both splits' if len(splits) == 2 else 'the set twice'}, "
-        f"also as {first.folder.name}"
-    )
-    raise InputError(second.folder / IDENTITY_FILE, "id", problem, "keep one of the two folders")
 
 
 def _check_folder(identity: Identity) -> None:

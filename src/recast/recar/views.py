@@ -69,7 +69,6 @@ def fitting_distance(
     Args:
         size: length, width, height in metres.
         camera: rectified camera with the principal point in the middle.
-        elevation_deg: elevation of the camera.
         margin: share of width and height that stays free at each edge.
         azimuths_deg: azimuths to fit at; a quarter is as good as all of them, by symmetry of the
             box.

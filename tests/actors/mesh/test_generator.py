@@ -7,12 +7,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import recast.actors.mesh.generator as making
 import torch
-from recast.actors.mesh.sample import sample
 
+import recast.actors.mesh_generator as making
 from recast.actors import MeshGenerator, Observation, register
-from recast.actors.mesh_generator import Outside, outside, surfels
+from recast.actors.mesh_generator import Outside, outside, sample, surfels
 from recast.actors.mesh_gltf import Glow, MeshMaterial, Triangles
 from recast.actors.template.lighting import CLEAR_DAY
 from recast.core.errors import InputError

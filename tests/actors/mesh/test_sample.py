@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from recast.actors.mesh.sample import sample
 
-from recast.actors.mesh import sample as sampling
+from recast.actors import mesh_generator as sampling
+from recast.actors.mesh_generator import sample
 from recast.actors.mesh_gltf import Glow, MeshMaterial, Triangles, Wrap
 from recast.geometry import se3
 from support.mesh_files import HALVES, SQUARE, SQUARE_UV, box
