@@ -104,8 +104,8 @@ def evaluate_and_print(
 
     Args:
         workers: processes that render the truth; 0 for one for each core.
-        shifts: also views from beside the drive, `recast.reconstruction.SHIFTS`: against the truth where the
-            log is synthetic, else as pictures alone.
+        shifts: also views from beside the drive, `recast.reconstruction.SHIFTS`: against the truth
+            where the log is synthetic, else as pictures alone.
 
     Raises:
         InputError: scene or weights are at fault, no image was held out, or another version of
