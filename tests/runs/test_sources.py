@@ -9,6 +9,7 @@ import shutil
 import sys
 from collections.abc import Callable
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -16,6 +17,7 @@ from rich.console import Console
 
 from recast.cli.main import main
 from recast.core import Artefact, Store, files
+from recast.logs import DrivingLog
 from recast.reconstruction import SceneConfig
 from recast.runs import making, sources
 from recast.runs.sources import SourceLog
@@ -286,9 +288,11 @@ def test_the_same_code_elsewhere_is_the_same_code(
 def test_a_street_is_trained_again_where_a_file_of_bodies_was_edited(
     tiny_log_folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(
-        making, "train_with_display", lambda log, out, config, console: out.mkdir(exist_ok=True)
-    )
+    def train(log: DrivingLog, out: Path, config: SceneConfig, progress: object) -> SimpleNamespace:
+        out.mkdir(exist_ok=True)
+        return SimpleNamespace(budget=SimpleNamespace(explain=str))
+
+    monkeypatch.setattr(making, "train_scene", train)
     maker = making.Maker(Store(tmp_path / "store"), Console(quiet=True))
     source = SourceLog.open(tiny_log_folder)
     files = {name: str(tmp_path / f"{name}.npz") for name in ("smpl_model", "smpl_poses")}

@@ -129,7 +129,7 @@ def test_a_reconstructed_world_shows_its_target_in_three_ways(
     def making(*_: object, **__: object) -> None:
         raise AssertionError("is in the store already")
 
-    for name in ("drive_log", "train_with_display", "make_actor", "refine_actor"):
+    for name in ("drive_log", "train_scene", "make_actor", "refine_actor"):
         monkeypatch.setattr(f"recast.runs.making.{name}", making)
     make_dataset(again, 1, record, vocabulary)
     for path in sorted(path for path in out.rglob("*.*") if path.is_file()):
