@@ -111,8 +111,7 @@ def test_agreement_stands_beside_the_noise_floor() -> None:
 
 
 def test_the_parts_of_a_disagreement() -> None:
-    few = grid()[:18]  # six scenes: the exact bootstrap of twelve takes seconds
-    rows = [replace(one, arm=one.arm.replace("replaced", "omnire+a-long-name")) for one in few]
+    rows = [replace(one, arm=one.arm.replace("replaced", "omnire+a-long-name")) for one in grid()]
     parts = [
         VerdictPart("no vehicle", "oracle", "omnire+a-long-name"),
         VerdictPart("light", "oracle", "native"),
