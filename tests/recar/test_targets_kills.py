@@ -98,6 +98,7 @@ def test_a_kill_before_or_after_any_rename_changes_nothing(
         assert tree(out) == expected
 
 
+@pytest.mark.whole
 def test_several_processes_give_the_same_bytes(
     places: Places, built: TargetCache, tmp_path: Path
 ) -> None:

@@ -108,6 +108,7 @@ def options(log: Path, out: Path, *more: str, track: str = "0") -> list[str]:
     return [*command, "--generator", "my_generator:Mine", *more]
 
 
+@pytest.mark.whole
 def test_a_run_makes_again_what_was_edited_and_what_follows(
     code: Callable[[str, str], None],
     tiny_log_folder: Path,
@@ -161,6 +162,7 @@ def test_a_run_makes_again_what_was_edited_and_what_follows(
     assert sum("config" in one.record.inputs for one in trained) == 1
 
 
+@pytest.mark.whole
 def test_a_run_and_its_store_go_on_elsewhere(
     code: Callable[[str, str], None], tiny_log_folder: Path, tmp_path: Path
 ) -> None:

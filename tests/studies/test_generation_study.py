@@ -72,6 +72,7 @@ def test_better_models_are_told_from_worse(
     assert json.loads((out / "study.json").read_text())["complete"] is True
 
 
+@pytest.mark.whole
 def test_any_number_of_workers_writes_the_same(vehicles: Path, tmp_path: Path) -> None:
     wanted = settings(vehicles, perturbed=PerturbationConfig(), limit=2)
     told: list[tuple[int, int]] = []

@@ -202,6 +202,7 @@ train(Line(), settings, Path(sys.argv[1]), processes=Processes.started())
 """
 
 
+@pytest.mark.whole
 def test_two_processes_train_as_one_that_accumulates_twice(whole: Path, tmp_path: Path) -> None:
     pytest.importorskip("accelerate")
     (tmp_path / "two.py").write_text(_TWO)

@@ -36,6 +36,7 @@ def grid(log: Path, out: Path, port: int, *more: str, workers: int = 1) -> list[
     return rows
 
 
+@pytest.mark.whole
 def test_a_grid_whose_driver_is_away_and_comes_back(
     tiny_log_folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
