@@ -1,4 +1,4 @@
-"""From folders of photographs to a vehicle set."""
+"""Photographs to a vehicle set: table, folder, what is refused, and networks that cut out."""
 
 from __future__ import annotations
 
@@ -12,15 +12,19 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from recast.actors.cutout import GrabCutRemover, GroundedSamRemover, remover_of
+from recast.actors.grounded_segmenter import DetectionRule
 from recast.core.errors import InputError
 from recast.recar import read_set
 from recast.recar.ingest import IngestReport, ingest_photographs
 from recast.recar.ingest_table import IngestSettings
+from support.tiny_networks import write_tiny_networks
 from support.vehicle_photographs import (
     HEIGHT,
     SETTINGS,
     VIEWS,
     WIDTH,
+    car_before_a_wall,
     photograph,
     write_photos,
     write_rows,
@@ -361,3 +365,17 @@ def test_a_fov_needs_the_shape_of_the_set(tmp_path: Path) -> None:
     ingest(photos, tmp_path / "wide", settings=settings)  # as wide as before, with free rows
     with pytest.raises(InputError, match="not of the aspect ratio of 90x40"):
         ingest(photos, tmp_path / "set", settings=replace(settings, width=90))
+
+
+def test_networks_cut_out_a_photograph(tmp_path: Path) -> None:
+    folder = write_tiny_networks(tmp_path)
+    image, _ = car_before_a_wall()
+    doubtful = GroundedSamRemover(folder, DetectionRule(score=1.0), "cpu").remove(image, "van")
+    assert "no van was detected in the middle" in doubtful.doubts[0]
+    assert doubtful.alpha.shape == image.shape[:2] and doubtful.alpha.any()
+    sure = GroundedSamRemover(folder, DetectionRule(score=0.0), "cpu").remove(image, "car")
+    assert sure.alpha.dtype == np.uint8
+    assert isinstance(remover_of(str(folder)), GroundedSamRemover)
+    assert isinstance(remover_of("grabcut"), GrabCutRemover)
+    with pytest.raises(InputError, match="folder: is missing"):
+        remover_of(str(tmp_path / "none"))

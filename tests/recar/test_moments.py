@@ -91,7 +91,7 @@ def runs(photos: Path, stage: TinyStage, places: Places) -> dict[str, Run]:
 
 @pytest.mark.parametrize("name", ["ingest", "training", STAGE])
 def test_kills_change_nothing(runs: dict[str, Run], tmp_path: Path, name: str) -> None:
-    """Of targets see test_targets_kills.py."""
+    """Of targets see test_targets.py."""
     survives(runs[name], tmp_path)
 
 
