@@ -25,7 +25,7 @@ from recast.synthetic.oracle import Oracle, OraclePool
 from recast.synthetic.rendering import CameraFrame
 from recast.synthetic.rig import exposure, sensor_number
 
-_STREAM = 701
+_TRUTH_STREAM, _DISTURBANCE_STREAM = 701, 702
 
 
 class TrueView(NamedTuple):
@@ -50,7 +50,7 @@ class TrueView(NamedTuple):
     def seen_by(self, oracle: Oracle, **shown: Any) -> CameraFrame:
         """What the camera truly sees; `shown` is as for `Oracle.render`."""
         seed = oracle.world.seed
-        number = [seed, _STREAM, sensor_number(self.name), self.step]
+        number = [seed, _TRUTH_STREAM, sensor_number(self.name), self.step]
         return oracle.render(
             self.camera,
             self.world_from_camera,
@@ -358,7 +358,6 @@ def _arrays(drawn: RasterImages) -> tuple[Float32Array, Float32Array, Float32Arr
 
 
 ImageNoise = Literal["grey", "jitter"]
-_STREAM = 702
 
 
 class NoisyRenderer(RendererAround):
@@ -392,7 +391,7 @@ class NoisyRenderer(RendererAround):
         return mount.framed(jittered(mount.windowed(image)))
 
     def _number(self, camera: str, step: int) -> list[int]:
-        return [self._seed, _STREAM, sensor_number(camera), step]
+        return [self._seed, _DISTURBANCE_STREAM, sensor_number(camera), step]
 
 
 def grey_noise(image: Image, rng: np.random.Generator) -> Image:
