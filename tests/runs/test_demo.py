@@ -5,7 +5,7 @@ from __future__ import annotations
 import io
 import json
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -79,10 +79,10 @@ def test_what_is_there_is_used_again(finished: Path) -> None:
 
 def test_another_demo_in_the_same_folder_is_refused(tmp_path: Path) -> None:
     world = make_world(SCENE, 1, TINY.seconds)
-    size = TINY.width, TINY.height
-    drive_log(world, tmp_path / "log", size, TINY.cameras, 1, Console(quiet=True))
+    size = replace(TINY, width=48, height=32)
+    drive_log(world, tmp_path / "log", (48, 32), TINY.cameras, 1, Console(quiet=True))
     with pytest.raises(InputError, match="another drive"):
-        run(tmp_path, seed=2)
+        run(tmp_path, seed=2, size=size)
 
 
 def test_an_unknown_scene_lists_the_known_ones(tmp_path: Path) -> None:

@@ -9,8 +9,6 @@ import pytest
 
 from recast.cli.main import main
 
-pytestmark = pytest.mark.whole
-
 
 @pytest.fixture(scope="module")
 def scene(tiny_log_folder: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
@@ -20,6 +18,7 @@ def scene(tiny_log_folder: Path, tmp_path_factory: pytest.TempPathFactory) -> Pa
     return path
 
 
+@pytest.mark.whole
 def test_tracks_of_a_log(
     tiny_log_folder: Path, scene: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
