@@ -26,16 +26,16 @@ from starlette.responses import JSONResponse, Response
 from starlette.routing import Route
 
 from recast.cameras import CameraMount, PinholeCamera
-from recast_bridges.json_service import JsonService
 from recast.core.web_server import WebServer
 from recast.dynamics import make_state
 from recast.geometry import Polyline, se3
 from recast.logs.types import Trajectory
 from recast.planning import PlannerInput, PlanningContext
 from recast.planning.route import DrivingCommand, ReferenceRoute
+from recast_bridges.json_service import JsonService
 from recast_bridges.neuroncap import NcapService, ncap_app
 from recast_bridges.neuroncap.planner import NeuroNcapPlanner, infer_body
-from recast_bridges.neuroncap.wire import CAMERAS, encode
+from recast_bridges.neuroncap.service import CAMERAS, encode
 from recast_bridges.requests import RenderRequest
 
 POSES = [

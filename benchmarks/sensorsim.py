@@ -30,10 +30,16 @@ from recast.geometry import se3
 from recast.scene import StreetScene
 from recast.scene.sky import SkyMap
 from recast.splats import set_threads
-from recast_bridges.alpasim.cameras import camera_message
 from recast_bridges.alpasim.messages import CHANNEL_OPTIONS, SENSORSIM_SERVICES, message, parse
-from recast_bridges.alpasim.poses import pose_pair
-from recast_bridges.alpasim.requests import JPEG, PLANAR, PNG, encode, read_requests
+from recast_bridges.alpasim.requests import (
+    JPEG,
+    PLANAR,
+    PNG,
+    camera_message,
+    encode,
+    pose_pair,
+    read_requests,
+)
 from recast_bridges.alpasim.server import SensorsimServer, SensorsimService
 from recast_bridges.rendering import ScenePainter, ServedScene
 

@@ -13,9 +13,8 @@ import pytest
 
 from recast.cli.main import main
 from recast_bridges.alpasim import export_bundle
-from recast_bridges.alpasim.bundle import METADATA, RIG, TRACKS
+from recast_bridges.alpasim.bundle import METADATA, RIG, TRACKS, write_usdz
 from recast_bridges.alpasim.bundle_read import LIMITS
-from recast_bridges.alpasim.usdz import write_usdz
 from support.small_log import small_log
 
 CAMERA = "front@small"

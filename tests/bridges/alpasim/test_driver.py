@@ -37,7 +37,7 @@ from recast.simulation import (
 )
 from recast_bridges.alpasim.driver import AlpaSimDriver, driver_planner
 from recast_bridges.alpasim.messages import message
-from recast_bridges.alpasim.poses import as_sent
+from recast_bridges.alpasim.requests import as_sent
 from support.driven import Noise, planner_of, setup_of
 from support.fake_driver import VERSION, FakeDriver, driving, follow
 from support.synthetic_drives import drive

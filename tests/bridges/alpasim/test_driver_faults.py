@@ -23,9 +23,9 @@ from recast.simulation import (
     run_rollout,
 )
 from recast_bridges.alpasim import driver_session as module
-from recast_bridges.alpasim.calls import ServiceClient
+from recast_bridges.alpasim.client import ServiceClient
 from recast_bridges.alpasim.driver import AlpaSimDriver
-from recast_bridges.alpasim.poses import pose_message, read_pose
+from recast_bridges.alpasim.requests import pose_message, read_pose
 from support.driven import QUICK, Noise, failure_of, planner_of, setup_of
 from support.fake_driver import FakeDriver, driving
 from support.tiny_served import MOUNTS, serving
@@ -125,7 +125,7 @@ def test_a_port_of_nobody_and_one_of_another_service() -> None:
 
 def test_without_the_extra_one_line_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "grpc", None)
-    monkeypatch.delitem(sys.modules, "recast_bridges.alpasim.calls")
+    monkeypatch.delitem(sys.modules, "recast_bridges.alpasim.client")
     with pytest.raises(InputError, match=r"is not installed; pip install 'recast-sim\[alpasim\]'"):
         run_rollout(setup_of(), planner_of(1))
 

@@ -12,7 +12,7 @@ import pyarrow.parquet as pq
 import pytest
 
 from recast.cli.main import main
-from recast_bridges.alpasim import calls
+from recast_bridges.alpasim import client
 from recast_bridges.alpasim import driver_session as module
 from support.fake_driver import FakeDriver, driving
 
@@ -22,7 +22,7 @@ OPTIONS = ("--motions", "advancing-a", "--steps", "10", "--samples", "200")
 @pytest.fixture(autouse=True)
 def _no_versions_and_no_pauses(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(module, "_VERSIONS", {})
-    monkeypatch.setattr(calls, "time", SimpleNamespace(sleep=lambda seconds: None))
+    monkeypatch.setattr(client, "time", SimpleNamespace(sleep=lambda seconds: None))
 
 
 def grid(log: Path, out: Path, port: int, *more: str, workers: int = 1) -> list[dict[str, Any]]:

@@ -17,10 +17,16 @@ from recast.cameras.lenses import fisheye_lens
 from recast.geometry import se3
 from recast.scene.render import SceneRasterizer
 from recast.simulation.scene_renderer import draw_image
-from recast_bridges.alpasim.cameras import camera_message, read_camera
 from recast_bridges.alpasim.messages import message, parse
-from recast_bridges.alpasim.poses import as_sent, pose_message, pose_pair, read_middle
-from recast_bridges.alpasim.requests import read_requests
+from recast_bridges.alpasim.requests import (
+    as_sent,
+    camera_message,
+    pose_message,
+    pose_pair,
+    read_camera,
+    read_middle,
+    read_requests,
+)
 from recast_bridges.alpasim.server import VERSION_ID, SensorsimService
 from recast_bridges.rendering import ScenePainter, ServedScene, Unnamed
 from recast_bridges.requests import RefusedError

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from recast.core.errors import InputError
-from recast_bridges.alpasim.usdz import read_usdz, write_usdz
+from recast_bridges.alpasim.bundle import read_usdz, write_usdz
 
 LIMITS = {"a.txt": 100, "b": 100}
 SEVENTY = bytes(range(70))

@@ -13,8 +13,7 @@ import pytest
 
 from recast.core.errors import InputError
 from recast.logs import DrivingLog, read_log
-from recast_bridges.logs.py123d import load_py123d
-from recast_bridges.logs.py123d_sensors import category
+from recast_bridges.logs.py123d import category, load_py123d
 from support import tiny_py123d as tiny
 from support.importing import import_drive
 

@@ -10,14 +10,14 @@ from recast.planning import Planner, make_planner, simple
 from recast.planning.simple import PROBE_CURVATURES, arc
 from recast.simulation import PerfectController, probe_path
 from recast_bridges.navsim import NavsimPlanner
-from recast_bridges.navsim.probes import ProbeAgent
+from recast_bridges.navsim.planner import ProbeAgent
 
 
 def _planners(name: str) -> dict[str, Planner]:
     attribute = name.replace("-", "_")
     return {
         "native": make_planner(f"recast.planning.simple:{attribute}"),
-        "0.5 s": make_planner(f"navsim:recast_bridges.navsim.probes:{attribute}_agent"),
+        "0.5 s": make_planner(f"navsim:recast_bridges.navsim.planner:{attribute}_agent"),
         "0.1 s": NavsimPlanner(ProbeAgent(name, 0.1)),
     }
 

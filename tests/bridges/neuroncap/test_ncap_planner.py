@@ -38,7 +38,7 @@ from recast_bridges.neuroncap.planner import (
     read_trajectory,
     waypoints_of,
 )
-from recast_bridges.neuroncap.wire import ncap_cameras
+from recast_bridges.neuroncap.service import ncap_cameras
 from support.fake_neuroncap import FakePlanner, image_of, planning, rule
 from support.tiny_served import BENT, CAMERA, MOVING, RIG_FROM_CAMERA, make_log, make_scene
 

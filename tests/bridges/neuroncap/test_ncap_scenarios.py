@@ -24,8 +24,7 @@ from recast.simulation import (
     run_rollout,
 )
 from recast_bridges.neuroncap.scenario_file import read_ncap_scenario
-from recast_bridges.neuroncap.scenario_runs import ncap_runs
-from recast_bridges.neuroncap.scenarios import import_ncap_scenario
+from recast_bridges.neuroncap.scenarios import import_ncap_scenario, ncap_runs
 from support.tiny_nuscenes import KEY_US, SCENE, START_US, write_tiny_nuscenes
 from support.tiny_served import TIMES, make_log
 

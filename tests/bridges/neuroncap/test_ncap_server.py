@@ -21,7 +21,7 @@ from recast.geometry import se3
 from recast.scene.render import SceneRasterizer
 from recast.simulation.scene_renderer import draw_image
 from recast_bridges.neuroncap import NcapService, ncap_app
-from recast_bridges.neuroncap import server as module
+from recast_bridges.neuroncap import service as module
 from recast_bridges.rendering import ScenePainter, ServedScene
 from recast_bridges.requests import RefusedError
 from support.fake_neuroncap import image_of

@@ -34,8 +34,8 @@ from recast_bridges.openx import (
     read_openscenario,
     write_openscenario,
 )
-from recast_bridges.openx.entities import Entity
 from recast_bridges.openx.opendrive import LeftOutLinks
+from recast_bridges.openx.openscenario import Entity
 from support.road_lanes import lane
 from support.synthetic_drives import drive
 

@@ -15,8 +15,7 @@ from recast.geometry import se3
 from recast.logs import DrivingLog
 from recast.scene import load_scene, render_scene
 from recast_bridges.scenes import import_street_gaussians
-from recast_bridges.scenes.street_gaussians import frozen_constant
-from recast_bridges.scenes.street_gaussians_tracks import assign_slots
+from recast_bridges.scenes.street_gaussians import assign_slots, frozen_constant
 from support import trained_scenes as made
 from support.street_gaussians_scenes import FOURIER, ROWS, WORLD_FROM_SCENE, checkpoint, fourier
 

@@ -13,7 +13,7 @@ from recast.geometry import se2
 from recast.planning.map import planner_map
 from recast.planning.pdm import PdmClosed, PdmConfig
 from recast_bridges.scores.driven import driven_epdms
-from recast_bridges.scores.epdms import PlanSituation, planned_poses, score_human, score_plan
+from recast_bridges.scores.two_stage import PlanSituation, planned_poses, score_human, score_plan
 from support.made_up_rollouts import make_rollout, moved_rollout, straight_plans
 from support.straight_road import hd_road, straight, user
 

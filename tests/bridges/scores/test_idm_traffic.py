@@ -7,8 +7,8 @@ import pytest
 
 from recast.geometry import boxes
 from recast.planning.pdm import AgentKind, Obstacle
-from recast_bridges.scores.epdms import PlanSituation, score_plan
 from recast_bridges.scores.idm_traffic import IdmTraffic
+from recast_bridges.scores.two_stage import PlanSituation, score_plan
 from support.straight_road import CROSSING, STATES, road, straight, user
 
 FAR = straight(0.0, x=-30.0, y=0.0)

@@ -11,11 +11,15 @@ import pytest
 from recast.dynamics import state
 from recast.planning.map import planner_map
 from recast.planning.pdm import ExtendedScores
-from recast_bridges.scores.epdms import PlanScore, PlanSituation, human_filtered
-from recast_bridges.scores.submission import SubmittedScene, TokenScore, score_scene
 from recast_bridges.scores.two_stage import (
     COLUMNS,
+    PlanScore,
+    PlanSituation,
+    SubmittedScene,
+    TokenScore,
     TwoStageMapping,
+    human_filtered,
+    score_scene,
     second_stage_weights,
     two_stage,
     write_two_stage,

@@ -14,7 +14,7 @@ from recast.logs import read_log, write_log
 from recast.logs.hdmap import read_map, write_map
 from recast.logs.importers.argoverse2 import load_argoverse2
 from recast_bridges.alpasim import export_bundle, load_alpasim
-from recast_bridges.alpasim.usdz import read_usdz, write_usdz
+from recast_bridges.alpasim.bundle import read_usdz, write_usdz
 from support import tiny_argoverse2
 from support.small_log import small_log
 

@@ -17,9 +17,8 @@ from recast.core.errors import InputError
 from recast.core.files import parse_json, read_bytes, write_json
 from recast.weights.fetch import list_source
 from recast.weights.table import Licence, WeightsSource
-from recast_bridges.alpasim.cameras import camera_message
 from recast_bridges.alpasim.messages import message
-from recast_bridges.alpasim.poses import pose_pair
+from recast_bridges.alpasim.requests import camera_message, pose_pair
 from recast_bridges.alpasim.server import SensorsimService
 from recast_bridges.neuroncap.service import NcapService
 from recast_bridges.rendering import ScenePainter

@@ -24,7 +24,7 @@ from recast.simulation.coverage import ImageCoverage, RolloutCoverage
 from recast.simulation.rollout_files import load_coverage, save_coverage
 from recast.simulation.scenario_file import read_scenario
 from recast_bridges.neuroncap.scenario_file import read_ncap_scenario
-from recast_bridges.neuroncap.scenario_runs import ncap_runs
+from recast_bridges.neuroncap.scenarios import ncap_runs
 from recast_bridges.openx import (
     Entity,
     Played,

@@ -1,7 +1,6 @@
-"""One session with a driver of AlpaSim: what it is told, what it answers, and its end.
+"""What a driver of AlpaSim is told in a session: vehicle, images, egomotion and route, as messages.
 
-gRPC is imported and a channel opened when a session begins, not earlier: who makes a planner may
-hand it to another process.
+AlpaSim's local frame is recast's world, its rig frame is recast's.
 """
 
 from __future__ import annotations
@@ -12,15 +11,16 @@ from typing import TYPE_CHECKING, Any
 from uuid import uuid4
 
 import numpy as np
+from numpy.typing import ArrayLike
 
-from recast.arrays import Array
+from recast.arrays import Array, Image
 from recast.cameras import CameraMount
 from recast.core.errors import InputError
 from recast.core.workers import Closing
-from recast.dynamics import initial_state
+from recast.dynamics import EgoState, initial_state
 from recast.dynamics import state as ego
 from recast.geometry import se2
-from recast.planning import PlannerInput, PlanningContext
+from recast.planning import PlannerInput, PlanningContext, ReferenceRoute
 from recast.simulation import RoadSurface
 from recast_bridges.alpasim.messages import (
     DEADLINE,
@@ -29,16 +29,125 @@ from recast_bridges.alpasim.messages import (
     PAUSES,
     message,
 )
-from recast_bridges.alpasim.observations import (
-    egomotion,
-    image_observation,
-    route_request,
-    session_request,
+from recast_bridges.alpasim.requests import (
+    JPEG_QUALITY,
+    RefusedError,
+    cameras_message,
+    encode,
+    pose_message,
 )
-from recast_bridges.alpasim.requests import RefusedError
 
 if TYPE_CHECKING:
-    from recast_bridges.alpasim.calls import ServiceClient
+    from recast_bridges.alpasim.client import ServiceClient
+
+ROUTE_POINTS = 20
+ROUTE_REACH = 80.0
+"""Metres ahead at which the last point of a route lies."""
+
+
+def session_request(session: str, seed: int, mounts: Mapping[str, CameraMount]) -> Any:
+    """The message DriveSessionRequest. It does not name the scene: drivers drive without that.
+
+    Args:
+        mounts: cameras of the images to come, by the driver's names.
+    """
+    cameras = cameras_message(mounts).available_cameras
+    vehicle = message("VehicleDefinition", available_cameras=cameras)
+    spec = message("RolloutSpec", vehicle=vehicle)
+    return message("DriveSessionRequest", session_uuid=session, random_seed=seed, rollout_spec=spec)
+
+
+def image_observation(
+    session: str, camera: str, image: Image, timestamp_us: int, image_format: int
+) -> Any:
+    """The message RolloutCameraImage of an image (H, W, 3) taken at one moment.
+
+    Its frame ends now, and begins a microsecond earlier: frames of no length are none in AlpaSim.
+
+    Args:
+        image_format: `recast_bridges.alpasim.requests.JPEG` or `PNG`.
+
+    Raises:
+        RefusedError: no message can hold it.
+    """
+    taken = message(
+        "CameraImage",
+        frame_start_us=timestamp_us - 1,
+        frame_end_us=timestamp_us,
+        image_bytes=encode(image, image_format, JPEG_QUALITY),
+        logical_id=camera,
+    )
+    return message("RolloutCameraImage", session_uuid=session, camera_image=taken)
+
+
+def egomotion(
+    session: str, timestamps_us: Sequence[int], local_from_rig: Array, states: Array
+) -> Any:
+    """The message RolloutEgoTrajectory.
+
+    Args:
+        timestamps_us: times of the N poses, rising.
+        local_from_rig: (N, 4, 4).
+        states: (N, 11) columns of `recast.dynamics.state`.
+    """
+    poses = [
+        message("PoseAtTime", pose=pose_message(pose), timestamp_us=time)
+        for time, pose in zip(timestamps_us, local_from_rig, strict=True)
+    ]
+    return message(
+        "RolloutEgoTrajectory",
+        session_uuid=session,
+        trajectory=message("Trajectory", poses=poses),
+        dynamic_states=[_dynamic_state(EgoState(state)) for state in states],
+    )
+
+
+def _dynamic_state(state: EgoState) -> Any:
+    """Velocities and accelerations in the rig frame.
+
+    The simulated state has no acceleration to the left; it is the centripetal one, as recordings
+    have it.
+    """
+    turn = state.angular_velocity
+    return message(
+        "DynamicState",
+        angular_velocity=message("Vec3", z=turn),
+        linear_velocity=message("Vec3", x=state.vx, y=state.vy),
+        linear_acceleration=message("Vec3", x=state.ax, y=state.vx * turn),
+        angular_acceleration=message("Vec3", z=state.angular_acceleration),
+    )
+
+
+def route_request(
+    session: str,
+    route: ReferenceRoute,
+    pose: ArrayLike,
+    timestamp_us: int,
+    route_s: float | None = None,
+) -> Any:
+    """The message RouteRequest: 20 points from beside the ego to 80 m ahead, in the rig frame.
+
+    Points beyond the end of the route are NaN.
+
+    Args:
+        pose: (3,) x, y, heading of the ego, world.
+        route_s: see `PlannerInput.route_s`.
+    """
+    here = max(float(route.project(pose, route_s)[0]), 0.0)
+    along = here + np.linspace(0.0, ROUTE_REACH, ROUTE_POINTS)
+    points = se2.relative(pose, route.pose(along))[:, :2]
+    points[along > route.length] = np.nan
+    waypoints = [
+        message("Vec3", x=x, y=y, z=0.0 if np.isfinite(x) else np.nan) for x, y in points.tolist()
+    ]
+    told = message("Route", waypoints=waypoints, timestamp_us=timestamp_us)
+    return message("RouteRequest", session_uuid=session, route=told)
+
+
+# One session with a driver of AlpaSim: what it is told, what it answers, and its end.
+#
+# gRPC is imported and a channel opened when a session begins, not earlier: who makes a planner may
+# hand it to another process.
 
 _LOG = logging.getLogger(__name__)
 
@@ -182,7 +291,7 @@ def driver_version(address: str) -> str:
 def _connected(address: str, deadline: float, pauses: Sequence[float]) -> ServiceClient:
     """A client of the driver; all results of one process are of one version."""
     try:
-        from recast_bridges.alpasim.calls import ServiceClient
+        from recast_bridges.alpasim.client import ServiceClient
     except ModuleNotFoundError:
         mend = "pip install 'recast-sim[alpasim]'"
         raise InputError("grpcio", "module", "is not installed", mend) from None

@@ -17,7 +17,6 @@ from google.protobuf.message import DecodeError
 from recast import __version__
 from recast.core.errors import InputError
 from recast.core.workers import Closing
-from recast_bridges.alpasim.cameras import FTHETA_CENTRE, cameras_message
 from recast_bridges.alpasim.messages import (
     CHANNEL_OPTIONS,
     MOST_BYTES,
@@ -26,7 +25,7 @@ from recast_bridges.alpasim.messages import (
     message,
     parse,
 )
-from recast_bridges.alpasim.requests import encode, read_requests
+from recast_bridges.alpasim.requests import FTHETA_CENTRE, cameras_message, encode, read_requests
 from recast_bridges.rendering import ScenePainter
 from recast_bridges.requests import RefusedError
 
@@ -58,7 +57,7 @@ class SensorsimService:
 
     Args:
         painter: painter that draws the images.
-        ftheta_centre: see `recast_bridges.alpasim.cameras.FTHETA_CENTRE`.
+        ftheta_centre: see `recast_bridges.alpasim.requests.FTHETA_CENTRE`.
     """
 
     def __init__(self, painter: ScenePainter, ftheta_centre: float = FTHETA_CENTRE) -> None:

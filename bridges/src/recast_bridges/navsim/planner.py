@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping
+from functools import partial
 from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
@@ -14,15 +15,18 @@ from recast.cameras import CameraMount
 from recast.core.errors import InputError
 from recast.core.plugins import PLANNERS, code_source
 from recast.planning.cameras import require_cameras
-from recast.planning.types import (
-    WAYPOINTS,
-    BasePlanner,
-    Plan,
-    PlannerInput,
-    PlanningContext,
-)
+from recast.planning.simple import PROBE_CURVATURES, arc
+from recast.planning.types import WAYPOINTS, BasePlanner, Plan, PlannerInput, PlanningContext
 from recast_bridges.navsim.agent_input import InputBuilder, navsim_classes
-from recast_bridges.navsim.types import HISTORY_FRAMES, NAVSIM_CAMERAS, rig_cameras
+from recast_bridges.navsim.types import (
+    HISTORY_FRAMES,
+    NAVSIM_CAMERAS,
+    AgentInput,
+    SensorConfig,
+    Trajectory,
+    TrajectorySampling,
+    rig_cameras,
+)
 from recast_bridges.splines import spline_through
 
 _SAME_TIME = 1e-6
@@ -249,3 +253,41 @@ def navsim_planner(agent: str, device: str = "cpu") -> NavsimPlanner:
 def navsim_source(agent: str) -> str:
     """What stands for a NAVSIM agent in keys of artefacts: its name and the hash of its code."""
     return code_source(f"navsim:{agent}", PLANNERS.source_files(agent))
+
+
+# NAVSIM agents whose motion is known in advance, to prove frame conventions.
+#
+# Each can be named, as `navsim:recast_bridges.navsim.planner:left_arc_agent`.
+
+
+class ProbeAgent:
+    """Drives an arc at its present speed.
+
+    Args:
+        name: one of `PROBE_CURVATURES`.
+        interval: seconds between the poses it answers with.
+    """
+
+    def __init__(self, name: str, interval: float = 0.5) -> None:
+        self.name = name
+        self._curvature = PROBE_CURVATURES[name]
+        self._sampling = TrajectorySampling(time_horizon=4.0, interval_length=interval)
+
+    def initialize(self) -> None:
+        """Nothing to load."""
+
+    def get_sensor_config(self) -> SensorConfig:
+        """It needs no sensors."""
+        return SensorConfig.build_no_sensors()
+
+    def compute_trajectory(self, agent_input: AgentInput) -> Trajectory:
+        """The arc for the coming 4 s."""
+        speed = float(agent_input.ego_statuses[-1].ego_velocity[0])
+        assert self._sampling.num_poses is not None and self._sampling.interval_length is not None
+        times = self._sampling.interval_length * np.arange(1, self._sampling.num_poses + 1)
+        return Trajectory(arc(self._curvature, speed * times).astype(np.float32), self._sampling)
+
+
+straight_agent = partial(ProbeAgent, "straight")
+left_arc_agent = partial(ProbeAgent, "left-arc")
+right_arc_agent = partial(ProbeAgent, "right-arc")

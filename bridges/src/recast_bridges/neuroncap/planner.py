@@ -30,7 +30,7 @@ from recast.planning.types import (
     PlanningContext,
 )
 from recast_bridges.json_service import JsonService
-from recast_bridges.neuroncap.wire import ncap_cameras, raw_image
+from recast_bridges.neuroncap.service import ncap_cameras, raw_image
 
 ALIVE_S, RESET_S, INFER_S = 10.0, 60.0, 300.0
 """Seconds within which the program must be there, forget the last rollout, and plan."""

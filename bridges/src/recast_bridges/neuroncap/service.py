@@ -1,22 +1,81 @@
-"""What recast answers as NeuroNCAP's renderer of one scene, free of HTTP.
-
-A service keeps one thing between requests: the actors that were last put.
-"""
+"""Images and cameras as NeuroNCAP's messages have them."""
 
 from __future__ import annotations
 
+import base64
+import io
+import logging
+from collections.abc import Awaitable, Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+import torch
+from starlette.applications import Starlette
+from starlette.concurrency import run_in_threadpool
+from starlette.exceptions import HTTPException
+from starlette.requests import Request
+from starlette.responses import JSONResponse, Response
+from starlette.routing import Route
 
-from recast.arrays import Array
+from recast.arrays import Array, Image
+from recast.cameras import CameraMount
+from recast.cameras.mounts import Look, match_cameras
+from recast.core.errors import printable
+from recast.core.web_server import BodyError, json_body
 from recast.geometry import se3
+from recast.logs import images
 from recast.logs.checks import BOX_SIDE, LATEST_US, WORLD_REACH, are_box_sides, check_poses
 from recast.logs.types import Trajectory
-from recast_bridges.neuroncap.wire import MEDIA_TYPES, encode
 from recast_bridges.rendering import ScenePainter
 from recast_bridges.requests import RefusedError, RenderRequest
+
+CAMERAS: Mapping[str, Look] = {
+    "CAM_FRONT": Look.level(0.0, 65.0),
+    "CAM_FRONT_LEFT": Look.level(55.0, 65.0),
+    "CAM_FRONT_RIGHT": Look.level(-55.0, 65.0),
+    "CAM_BACK": Look.level(180.0, 90.0),
+    "CAM_BACK_LEFT": Look.level(110.0, 65.0),
+    "CAM_BACK_RIGHT": Look.level(-110.0, 65.0),
+}
+"""The six cameras of nuScenes in NeuroNCAP's order, and where they look, rounded."""
+MEDIA_TYPES = {"raw": "text/plain", "png": "image/png", "jpg": "text/jpeg", "jpeg": "text/jpeg"}
+"""Of the image formats, by their names; text/jpeg is what NeuroNCAP's own renderer says."""
+
+
+def raw_image(image: Image) -> str:
+    """An image (height, width, 3) uint8 RGB as base64 of what `torch.save` writes of it.
+
+    The other side reads it with `torch.load`, which unpickles. Nothing here ever does.
+    """
+    stream = io.BytesIO()
+    torch.save(torch.from_numpy(image.copy()), stream)
+    return base64.b64encode(stream.getvalue()).decode("ascii")
+
+
+def encode(image: Image, image_format: str) -> bytes:
+    """An image (height, width, 3) uint8 RGB in a format of `MEDIA_TYPES`."""
+    if image_format == "raw":
+        return raw_image(image).encode("ascii")
+    return images.encode(image, "png" if image_format == "png" else "jpeg")
+
+
+def ncap_cameras(mounts: Mapping[str, CameraMount]) -> dict[str, str]:
+    """NeuroNCAP's name to the rig's camera that stands for it: of the same name, or by direction.
+
+    Cameras that no camera of the rig stands for are left out, and so are cameras with distortion,
+    which the messages cannot say.
+    """
+    straight = {name: mount for name, mount in mounts.items() if mount.camera.is_rectified}
+    found = {name: name for name in CAMERAS if name in straight}
+    wanted = {name: look for name, look in CAMERAS.items() if name not in found}
+    found |= match_cameras(wanted, {k: m for k, m in straight.items() if k not in found})
+    return {name: found[name] for name in CAMERAS if name in found}
+
+
+# What recast answers as NeuroNCAP's renderer of one scene, free of HTTP.
+#
+# A service keeps one thing between requests: the actors that were last put.
 
 _PREFIX = "CAM_"
 
@@ -187,3 +246,89 @@ def _read_actor(one: object, where: str) -> NcapActor:
         raise RefusedError("INVALID_ARGUMENT", str(error)) from None
     width, length, height = dims.tolist()
     return NcapActor(trajectory, (width, length, height))
+
+
+# recast as NeuroNCAP's renderer: one scene over HTTP, with the actors where the engine puts them.
+#
+# Whatever a client sends is answered with a status of its own; the server goes on. Requests are
+# JSON, so nothing is unpickled.
+
+_LOG = logging.getLogger(__name__)
+
+MOST_BODY = 1 << 26
+"""Bytes of a request's body, at most."""
+_SHOWN = 300
+_STATUS = {"NOT_FOUND": 404, "INVALID_ARGUMENT": 400, "UNIMPLEMENTED": 501}
+
+
+def ncap_app(service: NcapService) -> Starlette:
+    """The endpoints of one scene. An error is `{"detail": TEXT}`, one line."""
+
+    def image(value: object) -> Response:
+        data, media_type = service.image(value)
+        return Response(data, media_type=media_type)
+
+    def update(value: object) -> Response:
+        service.update(value)
+        return JSONResponse(None)
+
+    def scale(value: object) -> Response:
+        raise RefusedError(
+            "UNIMPLEMENTED", "actor scale: is not supported, vehicles keep their size"
+        )
+
+    gets: Mapping[str, Callable[[], object]] = {
+        "/alive": lambda: True,
+        "/start_time": service.start_time,
+        "/get_actors": service.actors,
+    }
+    posts: Mapping[str, Callable[[object], Response]] = {
+        "/render_image": image,
+        "/update_actors": update,
+        "/set_actor_scale": scale,
+    }
+    return Starlette(
+        routes=[
+            *(Route(path, _got(answer), methods=["GET"]) for path, answer in gets.items()),
+            *(Route(path, _posted(answer), methods=["POST"]) for path, answer in posts.items()),
+        ],
+        exception_handlers={HTTPException: _refuse_http},
+    )
+
+
+def _got(answer: Callable[[], object]) -> Callable[[Request], Awaitable[Response]]:
+    async def handle(request: Request) -> Response:
+        return await _answered(request, lambda: JSONResponse(answer()))
+
+    return handle
+
+
+def _posted(answer: Callable[[object], Response]) -> Callable[[Request], Awaitable[Response]]:
+    async def handle(request: Request) -> Response:
+        try:
+            value = await json_body(request, MOST_BODY)
+        except BodyError as error:
+            return _refusal(error.status, str(error))
+        return await _answered(request, lambda: answer(value))
+
+    return handle
+
+
+async def _answered(request: Request, answer: Callable[[], Response]) -> Response:
+    path = request.url.path
+    try:
+        return await run_in_threadpool(answer)
+    except RefusedError as refused:
+        return _refusal(_STATUS[refused.code], refused.details)
+    except Exception:
+        _LOG.exception("%s failed", path)
+        return _refusal(500, f"{path} failed; the server's log says why")
+
+
+async def _refuse_http(request: Request, error: Exception) -> Response:
+    assert isinstance(error, HTTPException)
+    return _refusal(error.status_code, f"{request.method} {request.url.path}: {error.detail}")
+
+
+def _refusal(status: int, problem: str) -> Response:
+    return JSONResponse({"detail": printable(problem)[:_SHOWN]}, status)

@@ -1,10 +1,16 @@
 """ASAM OpenX: scenarios and rollouts as OpenSCENARIO XML, maps as OpenDRIVE."""
 
-from recast_bridges.openx.entities import Entity, Played, played_rollout, played_scenario
 from recast_bridges.openx.export import Exported, ExportedRoads, export_openx
 from recast_bridges.openx.opendrive import read_opendrive, write_opendrive
-from recast_bridges.openx.openscenario import write_openscenario
-from recast_bridges.openx.read import largest_difference, read_openscenario
+from recast_bridges.openx.openscenario import (
+    Entity,
+    Played,
+    largest_difference,
+    played_rollout,
+    played_scenario,
+    read_openscenario,
+    write_openscenario,
+)
 
 __all__ = [
     "Entity",

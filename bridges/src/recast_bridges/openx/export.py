@@ -9,15 +9,18 @@ from pathlib import Path
 from recast.core.files import atomic_folder
 from recast.core.names import folder_name
 from recast.logs.hdmap import HdMap
-from recast_bridges.openx.entities import Played
 from recast_bridges.openx.opendrive import (
     LeftOutLinks,
     lane_differences,
     read_opendrive,
     write_opendrive,
 )
-from recast_bridges.openx.openscenario import write_openscenario
-from recast_bridges.openx.read import largest_difference, read_openscenario
+from recast_bridges.openx.openscenario import (
+    Played,
+    largest_difference,
+    read_openscenario,
+    write_openscenario,
+)
 
 ROAD_FILE = "map.xodr"
 

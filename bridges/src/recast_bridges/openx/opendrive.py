@@ -24,7 +24,7 @@ from recast.logs.checks import WORLD_REACH
 from recast.logs.hdmap import FASTEST, HdMap, Lane
 from recast_bridges.openx import reference_line
 from recast_bridges.openx.junctions import LaneNetwork, network
-from recast_bridges.openx.read import XmlFile
+from recast_bridges.openx.openscenario import XmlFile
 
 _STEP = 0.05
 """Metres between cross sections at which boundaries are written and read: where a lane is slanted

@@ -1,23 +1,28 @@
-"""Portable checkpoints of MTGS (`NAME/background/NAME.ckpt`), which has published nuPlan scenes.
+"""Frames that an MTGS scene was trained on (`video_scene_dict.pkl`), a pickle read without running.
 
-Source: Li et al., "MTGS: Multi-Traversal Gaussian Splatting" (2025), and the portable layout that
-its trainer exports for renderers.
+It is a table of drives, each with `frame_infos`: a list of tables with the time, the ego's pose in
+the coordinates of the scene, cameras and boxes. Only what is used is looked at.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
 
+from recast.arrays import Array, Int64Array
+from recast.cameras import PinholeCamera
 from recast.core.errors import InputError
 from recast.core.files import require_new
 from recast.geometry import se3
-from recast.logs import DrivingLog
+from recast.logs import CameraStream, DrivingLog, Track, Trajectory
+from recast.logs.checks import LATEST_US, WORLD_REACH, refused
 from recast.scene.actor import SceneActor
-from recast.scene.imported import ImportRecord, ScenePlacement, write_imported
+from recast.scene.imported import ImportRecord, ScenePlacement, import_with_log, write_imported
 from recast.scene.sky import sky_from_cubemap
 from recast.scene.street_scene import StreetScene
 from recast.splats import concatenate
@@ -34,30 +39,104 @@ from recast_bridges.scenes.actors import (
 )
 from recast_bridges.scenes.checkpoint import NO_SKY, RESAMPLED, CheckpointTable, read_checkpoint
 from recast_bridges.scenes.drivestudio import CUBE_FROM_SCENE
-from recast_bridges.scenes.mtgs_frames import (
-    FRAMES_FILE,
-    distance_to_log,
-    read_drives,
-    read_places,
-)
 from recast_bridges.scenes.mtgs_nodes import (
+    CHECKPOINT,
+    GROUND,
     MIRRORED,
     NAMES,
     RIGID,
     SCENERY,
     MtgsNode,
-    read_gaussian_node,
-    read_motion,
-)
-from recast_bridges.scenes.mtgs_odyssey import (
-    CHECKPOINT,
-    GROUND,
     exposed,
     lost,
     read_ego,
     read_environment,
+    read_gaussian_node,
+    read_motion,
     read_shift,
 )
+from recast_bridges.scenes.pickled import read_pickle
+
+FRAMES_FILE = "video_scene_dict.pkl"
+_MEND_FRAMES = "name the checkpoint itself to import it without the recorded frames"
+
+
+def read_drives(path: Path) -> dict[str, list[CheckpointTable]]:
+    """The frames of each recorded drive, by the drive's token.
+
+    Raises:
+        InputError: the file is missing, is damaged or holds other things than plain values and
+            arrays; no code in it is run. Or a drive has no list of frames.
+    """
+    content = read_pickle(path, _MEND_FRAMES)
+    if not isinstance(content, Mapping):
+        raise InputError(
+            path, "pickle", f"holds {type(content).__name__}, not a table", _MEND_FRAMES
+        )
+    drives = content if "frame_infos" not in content else {"": content}
+    found = {}
+    for name, drive in drives.items():
+        rows = drive.get("frame_infos") if isinstance(drive, Mapping) else None
+        if not isinstance(rows, list):
+            raise InputError(path, f"drive {name}", "has no list frame_infos", _MEND_FRAMES)
+        for index, row in enumerate(rows):
+            if not isinstance(row, Mapping):
+                raise InputError(
+                    path, f"{name}.frame_infos[{index}]", "is not a table", _MEND_FRAMES
+                )
+        found[str(name)] = [
+            CheckpointTable(path, row, f"{name}.frame_infos[{index}]")
+            for index, row in enumerate(rows)
+        ]
+    return found
+
+
+def read_places(frames: Sequence[CheckpointTable]) -> tuple[Int64Array, Array]:
+    """Times (F,) in microseconds and places (F, 3) of the ego in the scene.
+
+    Raises:
+        InputError: a frame lacks its time or its place.
+    """
+    times, places = [], []
+    for frame in frames:
+        time = frame.number("timestamp")
+        if not 0 <= time < LATEST_US:
+            raise frame.fault("timestamp", f"is {time:g}, not microseconds", _MEND_FRAMES)
+        name = "ego2global" if "ego2global" in frame else "ego2global_translation"
+        place = frame.array(name)
+        place = place[:3, 3] if place.shape == (4, 4) else place
+        if place.shape != (3,) or not np.all(np.abs(place) <= WORLD_REACH):  # also NaN
+            raise frame.fault(name, "is not a pose in metres", _MEND_FRAMES)
+        times.append(round(time))
+        places.append(place)
+    return np.array(times, np.int64), np.array(places, np.float64).reshape(-1, 3)
+
+
+def distance_to_log(
+    times_us: Int64Array, places: Array, world_from_scene: Array, log: DrivingLog
+) -> tuple[float, int]:
+    """Median distance in metres, seen from above, of the two recordings of the ego's places.
+
+    Args:
+        times_us: (F,) times in microseconds.
+        places: (F, 3) places of the ego in the scene.
+
+    Returns:
+        The distance, 0 if no time is in the log; and the number of frames whose times are.
+    """
+    first, last = log.world_from_rig.timestamps_us[[0, -1]]
+    shared = (times_us >= first) & (times_us <= last)
+    if not shared.any():
+        return 0.0, 0
+    there = se3.apply(world_from_scene, places[shared])
+    gaps = there - log.world_from_rig.at(times_us[shared])[:, :3, 3]
+    return float(np.median(np.linalg.norm(gaps[:, :2], axis=1))), int(shared.sum())
+
+
+# Portable checkpoints of MTGS (`NAME/background/NAME.ckpt`), which has published nuPlan scenes.
+#
+# Source: Li et al., "MTGS: Multi-Traversal Gaussian Splatting" (2025), and the portable layout that
+# its trainer exports for renderers.
 
 _SAME_LOG = "give the log of the same drive; see docs/howto/published_streets.md"
 
@@ -237,3 +316,148 @@ def _placement(
         if distance > SUSPICIOUS_M:
             warnings.append(f"the ego of the scene is {distance:.2f} m from the log's")
     return ScenePlacement(pose, how), warnings
+
+
+# The log of a published MTGS street, made of the street's own files, where nuPlan is not at hand.
+#
+# It has what the files tell: the ego's way, cameras, and the actors as tracks. It has no images, no
+# LiDAR and no map.
+
+_SIDES = ("height", "width")
+SIZE = (1080, 1920)
+"""Height and width of nuPlan's images in pixels, which the files may leave out."""
+CATEGORIES = {"vehicle": "car", "bicycle": "cyclist", "pedestrian": "pedestrian"}
+_MEND = "give the log that was imported from nuPlan (`log`)"
+
+
+def import_mtgs_with_log(
+    path: str | Path, own_log: str | Path, out: str | Path, **options: Any
+) -> ImportRecord:
+    """Write the log of a street's own files, and the street as a scene of it.
+
+    Args:
+        path: the scene's folder.
+        own_log: folder to write the log to.
+        options: see `import_mtgs`.
+
+    Raises:
+        InputError: see `mtgs_log` and `import_mtgs`. Nothing is written then.
+    """
+    require_new(out)
+    return import_with_log(
+        mtgs_log(path), own_log, lambda log: import_mtgs(path, log, out, **options)
+    )
+
+
+def mtgs_log(path: str | Path) -> DrivingLog:
+    """The log of a street: of the drive with most frames, if it was recorded on several.
+
+    The rig is nuPlan's ego frame, whose origin is the rear axle, about 0.3 m above the ground.
+
+    Raises:
+        InputError: a file is missing, broken or of another layout, or there are fewer than two
+            frames.
+    """
+    folder, file = find_checkpoint(Path(path))
+    if folder is None:
+        raise InputError(path, "scene folder", "is a file", "name the folder, or give `log`")
+    root = read_checkpoint(file, arrays=True)
+    drives = read_drives(folder / FRAMES_FILE)
+    name, frames = max(drives.items(), key=lambda item: len(item[1]), default=("", []))
+    if len(frames) < 2:
+        raise InputError(folder / FRAMES_FILE, "drives", "have fewer than two frames", _MEND)
+    times, _ = read_places(frames)
+    poses = np.stack([_ego_pose(frame) for frame in frames])
+    origin = poses[0, :3, 3].copy()
+    poses[:, :3, 3] -= origin
+    shift = read_shift(root.table("background").table("config"))
+    metadata = {"dataset": "nuPlan, as MTGS keeps it", "drive": name, "licence": "that of nuPlan"}
+    log = DrivingLog(
+        name=f"{file.stem}-{name}" if name else file.stem,
+        cameras={key: _camera(key, own) for key, own in _cameras(frames[0]).items()},
+        lidars={},
+        world_from_rig=Trajectory(times, poses),
+        tracks={},
+        world_offset=shift + origin,
+        metadata={**metadata, "images": "none"},
+    )
+    with refused(folder / FRAMES_FILE, _MEND):
+        log.validate()
+    world_from_scene = se3.from_rotation_translation(np.eye(3), -origin)
+    log = replace(log, tracks=_tracks(root, log, world_from_scene, _categories(frames)))
+    with refused(file, _MEND):
+        log.validate()
+    return log
+
+
+def _ego_pose(frame: CheckpointTable) -> Array:
+    """(4, 4) of the ego in the scene; `read_places` has checked the place."""
+    if "ego2global" in frame:
+        pose = frame.array("ego2global")
+        if pose.shape == (4, 4) and np.all(np.isfinite(pose)):
+            return se3.from_rotation_translation(pose[:3, :3], pose[:3, 3])
+    return _placed(frame, "ego2global_rotation", "ego2global_translation")
+
+
+def _placed(table: CheckpointTable, rotation: str, translation: str) -> Array:
+    """(4, 4) of a quaternion wxyz or a matrix, and three metres."""
+    turn, place = table.array(rotation), table.array(translation).reshape(-1)
+    if turn.shape == (4,) and 1e-6 < np.linalg.norm(turn) < 1e6:
+        turn = se3.quat_to_matrix(turn)
+    if turn.shape != (3, 3) or not np.all(np.isfinite(turn)):
+        raise table.fault(rotation, "is neither a quaternion nor a rotation matrix", _MEND)
+    if place.shape != (3,) or not np.all(np.isfinite(place)):
+        raise table.fault(translation, "is not three metres", _MEND)
+    return se3.from_rotation_translation(turn, place)
+
+
+def _cameras(frame: CheckpointTable) -> dict[str, CheckpointTable]:
+    cameras = frame.table("cams")
+    return {name: cameras.table(name) for name in cameras}
+
+
+def _camera(name: str, own: CheckpointTable) -> CameraStream:
+    """A camera without images; the intrinsics that were refined for the training are preferred."""
+    lens = own.table("colmap_param") if "colmap_param" in own else own
+    matrix, bend = lens.array("cam_intrinsic"), lens.array("distortion").reshape(-1)
+    if matrix.shape != (3, 3) or bend.shape != (5,):
+        raise lens.fault("cam_intrinsic", "or distortion: is not 3x3, or not five numbers", _MEND)
+    height, width = (own.number(key, side) for key, side in zip(_SIDES, SIZE, strict=True))
+    if not (1 <= width <= 1e5 and 1 <= height <= 1e5):
+        raise own.fault("width", f"or height: {width:g} x {height:g} pixels", _MEND)
+    fx, fy, cx, cy = (float(matrix[place]) for place in ((0, 0), (1, 1), (0, 2), (1, 2)))
+    k1, k2, p1, p2, k3 = (float(one) for one in bend)
+    size = round(width), round(height)
+    camera = PinholeCamera(*size, fx, fy, cx, cy, (k1, k2, p1, p2, k3))
+    mount = _placed(own, "sensor2ego_rotation", "sensor2ego_translation")
+    return CameraStream(name, camera, mount, np.zeros(0, np.int64), [])
+
+
+def _categories(frames: Sequence[CheckpointTable]) -> dict[str, str]:
+    """The category of each token that the frames name."""
+    found: dict[str, str] = {}
+    for frame in frames:
+        for token, name in zip(frame.texts("track_tokens"), frame.texts("gt_names"), strict=False):
+            found.setdefault(token, CATEGORIES.get(name, "misc"))
+    return found
+
+
+def _tracks(
+    root: CheckpointTable, log: DrivingLog, world_from_scene: Array, categories: Mapping[str, str]
+) -> dict[str, Track]:
+    """The actors that are there in the log's time; a vehicle where no category is known."""
+    first, last = log.world_from_rig.timestamps_us[[0, -1]]
+    tracks = {}
+    for token, node in read_nodes(root, ())[0].items():
+        if node.kind in SCENERY:
+            continue
+        motion = read_motion(node, log, world_from_scene)
+        means = node.gaussians.tensor(NAMES.means, None, 3)
+        if motion is None or len(means) == 0:
+            continue
+        times = motion.trajectory.timestamps_us
+        there = (times >= first) & (times <= last)
+        if there.any():
+            own = Trajectory(times[there], motion.trajectory.poses[there])
+            tracks[token] = Track(token, categories.get(token, "car"), extent(means), own)
+    return tracks

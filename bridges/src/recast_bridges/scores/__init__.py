@@ -2,13 +2,17 @@
 
 from recast_bridges.scores.alpasim import SceneScore, alpasim_scene_score, off_road
 from recast_bridges.scores.driven import DrivenEpdms, driven_epdms
-from recast_bridges.scores.epdms import PlanScore, PlanSituation, score_plan
 from recast_bridges.scores.idm_traffic import IdmTraffic
 from recast_bridges.scores.neuroncap import NcapScore, neuroncap_mean, neuroncap_score
-from recast_bridges.scores.submission import SubmittedScene, TokenScore, score_scene
 from recast_bridges.scores.two_stage import (
+    PlanScore,
+    PlanSituation,
+    SubmittedScene,
+    TokenScore,
     TwoStage,
     TwoStageMapping,
+    score_plan,
+    score_scene,
     two_stage,
     write_two_stage,
 )

@@ -22,7 +22,7 @@ from recast.planning.pdm.extended import LONGEST_INTERVAL, STEPS
 from recast.planning.route import ReferenceRoute
 from recast.planning.types import ActorState
 from recast.simulation.rollout import Rollout
-from recast_bridges.scores.epdms import PlanScore, PlanSituation, score_plan
+from recast_bridges.scores.two_stage import PlanScore, PlanSituation, score_plan
 
 _DT = 0.1
 _HISTORY = 15
