@@ -39,12 +39,8 @@ class HarmonizerRestorer(BaseRestorer):
         self.name = f"{_PREFIX}{service.host}:{service.port}"
 
     def restore(self, images: Mapping[str, Image]) -> dict[str, Image]:
-        """The harmonized images by name.
-
-        Raises:
-            InputError: it is not there, answers an error or too late, or the answer lacks an image,
-                or holds one that is damaged or of another size.
-        """
+        """The harmonized images by name. Raises InputError: it is not there, answers an error or
+        too late, or the answer lacks an image, or holds one that is damaged or of another size."""
         body = {
             "images": [
                 {"id": name, "data": base64.b64encode(encode(one)).decode("ascii")}
@@ -77,9 +73,6 @@ class HarmonizerRestorer(BaseRestorer):
 
 
 def harmonizer_restorer(address: str) -> HarmonizerRestorer:
-    """The restorer of "HOST:PORT"; nothing is asked before the first image.
-
-    Raises:
-        InputError: it is no address.
-    """
+    """The restorer of "HOST:PORT"; nothing is asked before the first image. Raises InputError: it
+    is no address."""
     return HarmonizerRestorer(JsonService.at(address, f"restorer {_PREFIX}{address}"))

@@ -26,25 +26,15 @@ _SHOWN = 200
 
 @dataclass(frozen=True)
 class JsonService:
-    """Where a program listens, and what it is called in errors.
+    """Where a program listens, and what it is called in errors."""
 
-    Attributes:
-        name: name of the part that it stands for, such as "planner neuroncap:localhost:9000".
-        host: name or address, an IPv6 address without brackets.
-        port: port number, 1 to 65535.
-    """
-
-    name: str
-    host: str
-    port: int
+    name: str  # name of the part that it stands for, such as "planner neuroncap:localhost:9000"
+    host: str  # name or address, an IPv6 address without brackets
+    port: int  # port number, 1 to 65535
 
     @classmethod
     def at(cls, address: str, name: str) -> Self:
-        """The program at HOST:PORT.
-
-        Raises:
-            InputError: it is no such address.
-        """
+        """The program at HOST:PORT. Raises InputError: it is no such address."""
         found = _ADDRESS.fullmatch(address)
         if found is None or not 1 <= int(found[2]) <= 65535:
             mend = "give HOST:PORT, such as 127.0.0.1:9000"
@@ -60,11 +50,8 @@ class JsonService:
         seconds: float,
         most_bytes: int,
     ) -> Any:
-        """The value of the JSON that it answers.
-
-        Raises:
-            InputError: see `send`; or the answer is no JSON.
-        """
+        """The value of the JSON that it answers. Raises InputError: see `send`; or the answer is no
+        JSON."""
         data = self.send(method, path, value, seconds=seconds, most_bytes=most_bytes)
         try:
             return parse_json(self.name, data)

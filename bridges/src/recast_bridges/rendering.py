@@ -67,11 +67,7 @@ class ScenePainter:
         self._told: set[tuple[str, str]] = set()
 
     def scene(self, scene_id: str) -> ServedScene:
-        """A scene by its id.
-
-        Raises:
-            RefusedError: NOT_FOUND.
-        """
+        """A scene by its id. Raises RefusedError: NOT_FOUND."""
         if scene_id not in self.scenes:
             known = ", ".join(self.scenes)
             raise RefusedError("NOT_FOUND", f"scene_id: {scene_id[:100]!r} is not one of {known}")

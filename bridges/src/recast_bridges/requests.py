@@ -31,19 +31,12 @@ class RefusedError(Exception):
 
 @dataclass(frozen=True)
 class RenderRequest:
-    """One image that is asked for.
-
-    Attributes:
-        camera: camera at the size of the image.
-        local_from_camera: (4, 4) camera pose at mid-frame.
-        timestamp_us: log time at mid-frame.
-        poses: `local_from_actor` (4, 4) at mid-frame, of the named tracks.
-        local_from_rig: (4, 4) ego pose at mid-frame if the request says it; not needed to draw.
-    """
+    """One image that is asked for."""
 
     scene_id: str
-    camera: AnyCamera
-    local_from_camera: Array
-    timestamp_us: int
-    poses: dict[str, Array]
+    camera: AnyCamera  # camera at the size of the image
+    local_from_camera: Array  # (4, 4) camera pose at mid-frame
+    timestamp_us: int  # log time at mid-frame
+    poses: dict[str, Array]  # `local_from_actor` (4, 4) at mid-frame, of the named tracks
+    # (4, 4) ego pose at mid-frame if the request says it; not needed to draw.
     local_from_rig: Array | None = None

@@ -48,11 +48,8 @@ class ServeRequest:
 
 
 def serve_sensorsim(request: ServeRequest, console: Console) -> None:
-    """Serve until interrupted.
-
-    Raises:
-        InputError: the extra is missing, a folder or number is wrong, or the port is taken.
-    """
+    """Serve until interrupted. Raises InputError: the extra is missing, a folder or number is
+    wrong, or the port is taken."""
     try:
         import grpc  # noqa: F401
     except ImportError:
@@ -83,11 +80,8 @@ def serve_sensorsim(request: ServeRequest, console: Console) -> None:
 
 
 def serve_neuroncap(request: ServeRequest, console: Console) -> None:
-    """Serve until interrupted: the first scene at the port, each further one at the next.
-
-    Raises:
-        InputError: a folder or number is wrong, or a port is taken.
-    """
+    """Serve until interrupted: the first scene at the port, each further one at the next. Raises
+    InputError: a folder or number is wrong, or a port is taken."""
     painter = _painter(request, dataset_frame=True)
     names = [name.lower() for name in request.names]
     require_range(0, 65536 - len(painter.scenes), port=request.port)

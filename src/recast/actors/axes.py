@@ -57,11 +57,8 @@ class AxisConvention:
     declares_front: bool
 
     def rotation(self) -> Array:
-        """(3, 3) actor axes from asset axes, a proper rotation.
-
-        Raises:
-            ValueError: an axis is not one of +x -x +y -y +z -z, or both are the same axis.
-        """
+        """(3, 3) actor axes from asset axes, a proper rotation. Raises ValueError: an axis is not
+        one of +x -x +y -y +z -z, or both are the same axis."""
         forward, up = _axis(self.forward), _axis(self.up)
         if abs(float(forward @ up)) > 0.5:
             raise ValueError(
@@ -136,18 +133,13 @@ def axes_of(text: str) -> AxisConvention:
 
 @dataclass(frozen=True)
 class Posture:
-    """How a vehicle would stand with one of its axes up.
+    """How a vehicle would stand with one of its axes up."""
 
-    Attributes:
-        up: signed axis, such as "-y".
-        width_over_box, height_over_box: width and height for its length, over those of the box.
-        votes: evidence for it, in units: box (0 at best), symmetry, wheels, taper.
-    """
-
-    up: str
+    up: str  # signed axis, such as "-y"
+    # width_over_box, height_over_box: width and height for its length, over those of the box.
     width_over_box: float
     height_over_box: float
-    votes: dict[str, float]
+    votes: dict[str, float]  # evidence for it, in units: box (0 at best), symmetry, wheels, taper
 
     @property
     def total(self) -> float:

@@ -33,15 +33,10 @@ _LEAST_FAR = 1.0  # metres: beyond the near plane, also for what is behind the c
 
 @dataclass(frozen=True)
 class Shares:
-    """Where each of N Gaussians comes from; with the invented share they add up to one.
+    """Where each of N Gaussians comes from; with the invented share they add up to one."""
 
-    Attributes:
-        seen: (N,) float32 in [0, 1], share from images of the Gaussian's own side.
-        mirrored: (N,) float32 in [0, 1], share from images of the other side.
-    """
-
-    seen: Tensor
-    mirrored: Tensor
+    seen: Tensor  # (N,) float32 in [0, 1], share from images of the Gaussian's own side
+    mirrored: Tensor  # (N,) float32 in [0, 1], share from images of the other side
 
     def __len__(self) -> int:
         return len(self.seen)
@@ -78,14 +73,10 @@ class Shares:
 
 @dataclass(frozen=True)
 class Coverage:
-    """Where the looks of a visible vehicle come from.
+    """Where the looks of a visible vehicle come from."""
 
-    Attributes:
-        pixels: visible area of the vehicle, 0 or at least `LEAST_PIXELS`.
-        seen, mirrored, invented: means over that area; they add up to 1, or are 0 where pixels is.
-    """
-
-    pixels: float
+    pixels: float  # visible area of the vehicle, 0 or at least `LEAST_PIXELS`
+    # seen, mirrored, invented: means over that area; they add up to 1, or are 0 where pixels is.
     seen: float
     mirrored: float
     invented: float

@@ -199,11 +199,8 @@ class GroundedSamRemover:
         self.networks = GroundedSamSegmenter(folder, rule, device)
 
     def remove(self, image: NDArray[np.uint8], category: str = "car") -> Segmentation:
-        """See `BackgroundRemover.remove`.
-
-        Raises:
-            InputError: see the class; or SAM found nothing at all.
-        """
+        """See `BackgroundRemover.remove`. Raises InputError: see the class; or SAM found nothing at
+        all."""
         height, width = image.shape[:2]
         found = central_detection(self.networks.detect(image, text_prompt(category)), width, height)
         box = np.array([0.05 * width, 0.05 * height, 0.95 * width, 0.95 * height])
@@ -241,11 +238,8 @@ def central_detection(detections: Sequence[Detection], width: int, height: int) 
 
 
 def remover_of(name_or_folder: str) -> BackgroundRemover:
-    """A remover: "grabcut", or the folder that holds grounding-dino and sam.
-
-    Raises:
-        InputError: neither; see `GroundedSamRemover`.
-    """
+    """A remover: "grabcut", or the folder that holds grounding-dino and sam. Raises InputError:
+    neither; see `GroundedSamRemover`."""
     if name_or_folder == DEFAULT_REMOVER:
         return GrabCutRemover()
     return GroundedSamRemover(name_or_folder)

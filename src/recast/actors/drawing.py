@@ -72,16 +72,11 @@ def coloured_by_shares(actor: Actor, colours: Sequence[Sequence[float]]) -> Acto
 
 @dataclass(frozen=True)
 class Pictures:
-    """An asset as the crop's camera sees it, beside the crop, both at most 160 pixels wide.
+    """An asset as the crop's camera sees it, beside the crop, both at most 160 pixels wide."""
 
-    Attributes:
-        shown: (H, W, 3) display values on black; alpha: (H, W) of the asset.
-        wanted: (H, W, 3) display values of the crop; mask: (H, W) of the vehicle in it.
-    """
-
-    shown: Array
+    shown: Array  # (H, W, 3) display values on black; alpha: (H, W) of the asset
     alpha: Array
-    wanted: Array
+    wanted: Array  # (H, W, 3) display values of the crop; mask: (H, W) of the vehicle in it
     mask: NDArray[np.bool_]
 
 

@@ -50,15 +50,10 @@ LEAST_AGREEMENT = 0.5
 
 @dataclass(frozen=True)
 class FreeSpace:
-    """Cells that are seen to be empty.
+    """Cells that are seen to be empty."""
 
-    Attributes:
-        centres: (M, 3) float32, object frame, metres.
-        edge: edge length of a cell, metres.
-    """
-
-    centres: NDArray[np.float32]
-    edge: float = EDGE
+    centres: NDArray[np.float32]  # (M, 3) float32, object frame, metres
+    edge: float = EDGE  # edge length of a cell, metres
 
     def holds(self, points: ArrayLike) -> NDArray[np.bool_]:
         """Which points (N, 3) lie in a free cell."""
@@ -128,15 +123,10 @@ def _crossed(origin: Array, ends: Array, half: Array, shape: Array) -> list[NDAr
 
 @dataclass(frozen=True)
 class VisualHull:
-    """Cells that the masks agree on.
+    """Cells that the masks agree on."""
 
-    Attributes:
-        centres: (M, 3) centres of the solid cells, object frame, metres.
-        edge: edge length of a cell, metres.
-    """
-
-    centres: Array
-    edge: float
+    centres: Array  # (M, 3) centres of the solid cells, object frame, metres
+    edge: float  # edge length of a cell, metres
 
     def outline(self, sighting: Sighting) -> Float32Array:
         """Its silhouette (H, W) in [0, 1] in an image."""
@@ -212,30 +202,22 @@ _POSES = ("camera_from_world", "world_from_object")
 
 @dataclass(frozen=True)
 class Sighting:
-    """One image of a log that shows the vehicle, cut to the vehicle and its surroundings.
+    """One image of a log that shows the vehicle, cut to the vehicle and its surroundings."""
 
-    Attributes:
-        camera_name, frame, timestamp_us: camera, frame number and log time of the image.
-        camera: pinhole of the crop, without distortion.
-        camera_from_world: (4, 4), with the correction that a scene has learned, if there is one.
-        world_from_object: (4, 4); object frame: box centre, x forward, y left, z up.
-        image: (H, W, 3) uint8 RGB.
-        mask: (H, W) float32 in [0, 1], 1 on the vehicle.
-        trust: (H, W) float32 in [0, 1]: how far `mask` is believed; 0 where something hides the
-            vehicle or the image is not usable.
-        weight: weight in [0, 1] of the image beside the others: size, sharpness, occlusion.
-    """
-
+    # camera_name, frame, timestamp_us: camera, frame number and log time of the image.
     camera_name: str
     frame: int
     timestamp_us: int
-    camera: PinholeCamera
+    camera: PinholeCamera  # pinhole of the crop, without distortion
+    # (4, 4), with the correction that a scene has learned, if there is one.
     camera_from_world: Array
-    world_from_object: Array
-    image: NDArray[np.uint8]
-    mask: Float32Array
+    world_from_object: Array  # (4, 4); object frame: box centre, x forward, y left, z up
+    image: NDArray[np.uint8]  # (H, W, 3) uint8 RGB
+    mask: Float32Array  # (H, W) float32 in [0, 1], 1 on the vehicle
+    # (H, W) float32 in [0, 1]: how far `mask` is believed; 0 where something hides the vehicle or
+    # the image is not usable.
     trust: Float32Array
-    weight: float
+    weight: float  # weight in [0, 1] of the image beside the others: size, sharpness, occlusion
 
     @property
     def camera_from_object(self) -> Array:
@@ -251,23 +233,16 @@ class Sighting:
 
 @dataclass(frozen=True)
 class Evidence:
-    """All that a log knows of a vehicle; held-out images are not in it.
+    """All that a log knows of a vehicle; held-out images are not in it."""
 
-    Attributes:
-        track_id, category: id and category of the track.
-        size: (3,) length, width, height of the logged box, metres.
-        sightings: sightings in order of time.
-        hits: (N, 3) float32 LiDAR points on the vehicle, object frame.
-        free: cells of the box that LiDAR rays passed through.
-        left_out: why images that show the box are not among the sightings, one entry an image.
-    """
-
+    # track_id, category: id and category of the track.
     track_id: str
     category: str
-    size: Array
-    sightings: tuple[Sighting, ...]
-    hits: Float32Array
-    free: FreeSpace
+    size: Array  # (3,) length, width, height of the logged box, metres
+    sightings: tuple[Sighting, ...]  # sightings in order of time
+    hits: Float32Array  # (N, 3) float32 LiDAR points on the vehicle, object frame
+    free: FreeSpace  # cells of the box that LiDAR rays passed through
+    # why images that show the box are not among the sightings, one entry an image.
     left_out: tuple[str, ...] = ()
 
     def posed_by(self, scene: StreetScene) -> Evidence:
@@ -325,11 +300,8 @@ class EvidenceRecord(Record):
 
 
 def save_evidence(evidence: Evidence, path: Path) -> None:
-    """Write evidence to a file, whole or not at all; masks and trust are kept in 255ths.
-
-    Raises:
-        InputError: the disk refuses.
-    """
+    """Write evidence to a file, whole or not at all; masks and trust are kept in 255ths. Raises
+    InputError: the disk refuses."""
     record = EvidenceRecord(
         version=EVIDENCE_VERSION,
         track_id=evidence.track_id,
@@ -365,11 +337,8 @@ def save_evidence(evidence: Evidence, path: Path) -> None:
 
 
 def load_evidence(path: Path) -> Evidence:
-    """Read an evidence file.
-
-    Raises:
-        InputError: missing, broken, of another version, or with values that no evidence has.
-    """
+    """Read an evidence file. Raises InputError: missing, broken, of another version, or with values
+    that no evidence has."""
     tensors, header = read_tensors(path)
     record = parse_record(path, header, EvidenceRecord, EVIDENCE_VERSION, _MEND)
     arrays = {name: value.numpy() for name, value in tensors.items()}

@@ -81,21 +81,15 @@ def candidates_of(
     generator: ActorGenerator, observation: Observation, seed: int
 ) -> Sequence[Callable[[], Asset]]:
     """What makes each vehicle that a generator, which may be a user's, offers; read-only input.
-
-    Raises:
-        InputError: see `generated`.
-    """
+    Raises InputError: see `generated`."""
     offering = whole(generator, BaseGenerator)
     with foreign_call(f"generator {generator.name}", "candidates", offering, seed):
         return offering.candidates(read_only(observation), seed)
 
 
 def generated(generator: ActorGenerator, observation: Observation, seed: int) -> Asset:
-    """What a generator, which may be a user's, makes of a read-only observation.
-
-    Raises:
-        InputError: a user's generator raises an exception; see also `foreign_call`.
-    """
+    """What a generator, which may be a user's, makes of a read-only observation. Raises InputError:
+    a user's generator raises an exception; see also `foreign_call`."""
     with foreign_call(f"generator {generator.name}", "generate", generator, seed):
         return generator.generate(read_only(observation), seed)
 

@@ -46,17 +46,11 @@ DEFAULT_SEGMENTER = "box-lidar"
 
 @dataclass(frozen=True)
 class Detection:
-    """One thing found by a detector.
+    """One thing found by a detector."""
 
-    Attributes:
-        box: (4,) left, top, right, bottom, pixels of the crop.
-        score: confidence, 0 to 1.
-        label: words of the prompt it was found by.
-    """
-
-    box: Array
-    score: float
-    label: str
+    box: Array  # (4,) left, top, right, bottom, pixels of the crop
+    score: float  # confidence, 0 to 1
+    label: str  # words of the prompt it was found by
 
 
 @dataclass(frozen=True)
@@ -66,32 +60,21 @@ class DetectionRule:
     The rectangle around the projected 3D box is a little larger than the vehicle in it: on KITTI
     drive 0013 the two overlap by 0.66 to 0.92 (six tracks), other tracks' rectangles overlap it by
     at most 0.17. The threshold lies between.
-
-    Attributes:
-        score: detections below are left out; the usual threshold of Grounding DINO.
-        overlap: intersection over union with the logged rectangle below which a detection is
-            another vehicle.
-        tie: overlaps that differ by no more than this are equal; the score decides.
     """
 
-    score: float = 0.25
+    score: float = 0.25  # detections below are left out; the usual threshold of Grounding DINO
+    # intersection over union with the logged rectangle below which a detection is another vehicle.
     overlap: float = 0.4
-    tie: float = 0.05
+    tie: float = 0.05  # overlaps that differ by no more than this are equal; the score decides
 
 
 @dataclass(frozen=True)
 class BoxPrompt:
-    """The box taken, and where it comes from.
+    """The box taken, and where it comes from."""
 
-    Attributes:
-        box: (4,) left, top, right, bottom, pixels of the crop.
-        detected: False where the logged box stood in for the detector.
-        reason: why this box, in words.
-    """
-
-    box: Array
-    detected: bool
-    reason: str
+    box: Array  # (4,) left, top, right, bottom, pixels of the crop
+    detected: bool  # False where the logged box stood in for the detector
+    reason: str  # why this box, in words
 
 
 def text_prompt(category: str) -> str:
@@ -104,11 +87,8 @@ def text_prompt(category: str) -> str:
 
 
 def logged_rectangle(target: SegmentationTarget) -> Array:
-    """(4,) left, top, right, bottom of the projected 3D box, clipped to the crop, pixels.
-
-    Raises:
-        ValueError: no part of the box lies in the crop.
-    """
+    """(4,) left, top, right, bottom of the projected 3D box, clipped to the crop, pixels. Raises
+    ValueError: no part of the box lies in the crop."""
     rectangle = box_rectangle(target.size, target.camera_from_object, target.camera)
     if rectangle is not None:
         height, width = target.image.shape[:2]
@@ -229,10 +209,7 @@ class GroundedSamSegmenter:
 
     def segment(self, target: SegmentationTarget) -> Segmentation:
         """See `Segmenter.segment`; the same crop always gives the same mask on the same device.
-
-        Raises:
-            InputError: see the class; or SAM found nothing at all in the box.
-        """
+        Raises InputError: see the class; or SAM found nothing at all in the box."""
         text = text_prompt(target.category)
         prompt = choose_box(
             self.detect(target.image, text), logged_rectangle(target), self.rule, text

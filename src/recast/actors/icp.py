@@ -34,17 +34,11 @@ INLIER_DISTANCE = 0.10  # metres
 
 @dataclass(frozen=True)
 class FitSurface:
-    """Surface-like centres of an asset.
+    """Surface-like centres of an asset."""
 
-    Attributes:
-        points: (N, 3).
-        normals: (N, 3) unit, of either sign.
-        index: (N,) int64 into the Gaussians.
-    """
-
-    points: Array
-    normals: Array
-    index: NDArray[np.int64]
+    points: Array  # (N, 3)
+    normals: Array  # (N, 3) unit, of either sign
+    index: NDArray[np.int64]  # (N,) int64 into the Gaussians
 
 
 def outer_surface(gaussians: Gaussians) -> FitSurface:
@@ -67,11 +61,8 @@ def outer_surface(gaussians: Gaussians) -> FitSurface:
 
 
 def require_volume(points: Array) -> None:
-    """Refuse what cannot be a vehicle's opaque points (N, 3).
-
-    Raises:
-        ValueError: fewer than 50, or all in one place, on a line or in a plane.
-    """
+    """Refuse what cannot be a vehicle's opaque points (N, 3). Raises ValueError: fewer than 50, or
+    all in one place, on a line or in a plane."""
     if len(points) < 50:
         raise ValueError(f"{len(points)} opaque points, at least 50 are needed")
     spread = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
@@ -144,58 +135,40 @@ def thinned(points: NDArray[Kind], count: int) -> NDArray[Kind]:
 
 @dataclass(frozen=True)
 class IcpLimits:
-    """Bounds and stopping rule.
+    """Bounds and stopping rule."""
 
-    Attributes:
-        scale: smallest and largest factor.
-        scale_deviation: prior deviation of the factor's logarithm from 0, which is the start: the
-            length of the box, as labels give it.
-        yaw: largest turn either way, radians.
-        shift: longest translation, metres.
-        trim: share of the worst points left out.
-        iterations: largest number of iterations.
-        tolerance: stop when the largest move of a surface point falls below this, metres.
-    """
-
-    scale: tuple[float, float] = (0.8, 1.25)
+    scale: tuple[float, float] = (0.8, 1.25)  # smallest and largest factor
+    # prior deviation of the factor's logarithm from 0, which is the start: the length of the box,
+    # as labels give it.
     scale_deviation: float = 0.025
-    yaw: float = float(np.radians(15.0))
-    shift: float = 0.5
-    trim: float = 0.15
-    iterations: int = 60
+    yaw: float = float(np.radians(15.0))  # largest turn either way, radians
+    shift: float = 0.5  # longest translation, metres
+    trim: float = 0.15  # share of the worst points left out
+    iterations: int = 60  # largest number of iterations
+    # stop when the largest move of a surface point falls below this, metres.
     tolerance: float = 2e-4
 
 
 @dataclass(frozen=True)
 class Fit:
-    """How well LiDAR points lie on a surface: distances to the nearest surface point.
+    """How well LiDAR points lie on a surface: distances to the nearest surface point."""
 
-    Attributes:
-        median, mean: metres, over all points.
-        inlier_share: points nearer than 0.10 m.
-    """
-
+    # median, mean: metres, over all points.
     median: float
     mean: float
-    inlier_share: float
+    inlier_share: float  # points nearer than 0.10 m
 
 
 @dataclass(frozen=True)
 class IcpResult:
-    """asset_aligned = R(yaw) (scale x) + translation.
+    """asset_aligned = R(yaw) (scale x) + translation."""
 
-    Attributes:
-        scale, yaw: factor and radians.
-        translation: (3,) metres.
-        iterations: number of iterations done.
-        converged: whether ICP stopped by `tolerance` and not by `iterations`.
-    """
-
+    # scale, yaw: factor and radians.
     scale: float
     yaw: float
-    translation: Array
-    iterations: int
-    converged: bool
+    translation: Array  # (3,) metres
+    iterations: int  # number of iterations done
+    converged: bool  # whether ICP stopped by `tolerance` and not by `iterations`
 
     @property
     def matrix(self) -> Array:

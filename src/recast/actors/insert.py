@@ -78,11 +78,7 @@ def insert(scene: StreetScene, actor: Actor, *, relit: bool = True) -> StreetSce
 
 
 def require_model(scene: StreetScene, track_id: str) -> None:
-    """Refuse a scene that has no model of a track.
-
-    Raises:
-        InputError: it has none.
-    """
+    """Refuse a scene that has no model of a track. Raises InputError: it has none."""
     if track_id not in scene.actors:
         known = ", ".join(scene.actors) or "none"
         raise InputError(

@@ -65,16 +65,12 @@ _UNITS = {
 
 @dataclass(frozen=True)
 class Summary:
-    """A vehicle in a few numbers.
+    """A vehicle in a few numbers."""
 
-    Attributes:
-        proportions: (2,) middle and shortest extent along the file's axes, over the longest: which
-            axis points up need not be known.
-        paint: (3,) mean colour of the surface, linear light.
-    """
-
+    # (2,) middle and shortest extent along the file's axes, over the longest: which axis points up
+    # need not be known.
     proportions: Array
-    paint: Array
+    paint: Array  # (3,) mean colour of the surface, linear light
 
 
 def summary_of(path: Path) -> Summary | str:
@@ -136,15 +132,10 @@ def paint_apart(summary: Summary, seen: Array) -> float:
 
 @dataclass(frozen=True)
 class Ranked:
-    """A vehicle of the library and what speaks against it.
+    """A vehicle of the library and what speaks against it."""
 
-    Attributes:
-        path: its file or folder.
-        terms: misfits by kind, 0 at best: size, paint, lidar, silhouette, colour, clip; see
-            `_UNITS`.
-    """
-
-    path: Path
+    path: Path  # its file or folder
+    # misfits by kind, 0 at best: size, paint, lidar, silhouette, colour, clip; see `_UNITS`.
     terms: dict[str, float]
 
     @property
@@ -196,11 +187,8 @@ class LibraryGenerator(BaseGenerator):
         return self.candidates(observation, seed)[0]()
 
     def candidates(self, observation: Observation, seed: int) -> Sequence[Callable[[], Asset]]:
-        """The best few, the best first; see `BaseGenerator.candidates`.
-
-        Raises:
-            InputError: see `generate`.
-        """
+        """The best few, the best first; see `BaseGenerator.candidates`. Raises InputError: see
+        `generate`."""
         ranking, left_out = self.rank(observation)
         told: dict[str, str | int] = {
             "ranking": "; ".join(one.explain() for one in ranking[:_NAMED]),
@@ -216,11 +204,8 @@ class LibraryGenerator(BaseGenerator):
         ]
 
     def rank(self, observation: Observation) -> tuple[list[Ranked], list[str]]:
-        """The best vehicles, the best first, and why others cannot be used.
-
-        Raises:
-            InputError: see `generate`.
-        """
+        """The best vehicles, the best first, and why others cannot be used. Raises InputError: see
+        `generate`."""
         paint = seen_paint(observation)
         first: list[Ranked] = []
         left_out: list[str] = []

@@ -54,25 +54,15 @@ _BEHIND = 0.3  # cosine to the outer normal from which on a view is one of the i
 
 @dataclass(frozen=True)
 class Samples:
-    """N points of a surface.
+    """N points of a surface."""
 
-    Attributes:
-        points: (N, 3).
-        normals: (N, 3) unit, of the side that the file calls outer.
-        spacing: (N,) edge of the square of surface that each stands for.
-        albedo: (N, 3) linear base colour.
-        alpha: (N,) 1 where nothing shines through.
-        gloss: (N,) see `MeshMaterial`.
-        emission: (N, 3) linear light that is emitted, whatever falls on the surface.
-    """
-
-    points: Array
-    normals: Array
-    spacing: Array
-    albedo: Array
-    alpha: Array
-    gloss: Array
-    emission: Array
+    points: Array  # (N, 3)
+    normals: Array  # (N, 3) unit, of the side that the file calls outer
+    spacing: Array  # (N,) edge of the square of surface that each stands for
+    albedo: Array  # (N, 3) linear base colour
+    alpha: Array  # (N,) 1 where nothing shines through
+    gloss: Array  # (N,) see `MeshMaterial`
+    emission: Array  # (N, 3) linear light that is emitted, whatever falls on the surface
 
     def __len__(self) -> int:
         return len(self.points)
@@ -247,15 +237,11 @@ def _wrapped(index: Int64Array, count: int, wrap: Wrap) -> Int64Array:
 
 @dataclass(frozen=True)
 class Outside:
-    """The visible surface of a vehicle.
+    """The visible surface of a vehicle."""
 
-    Attributes:
-        samples: samples with normals towards where they are seen from.
-        closed: (N,) whether the sample is opaque and has the vehicle's inside behind it: no view
-            from outside shows its back, as of a mirror or a spoiler.
-    """
-
-    samples: Samples
+    samples: Samples  # samples with normals towards where they are seen from
+    # (N,) whether the sample is opaque and has the vehicle's inside behind it: no view from outside
+    # shows its back, as of a mirror or a spoiler.
     closed: NDArray[np.bool_]
 
 
@@ -312,20 +298,14 @@ _DARK = 0.06  # display value of a cabin without light
 
 
 def read_triangles(path: Path) -> list[Triangles]:
-    """The triangles of a mesh file, in its frame and unit.
-
-    Raises:
-        InputError: see `read_glb` and `read_obj`; or a file of another kind.
-    """
+    """The triangles of a mesh file, in its frame and unit. Raises InputError: see `read_glb` and
+    `read_obj`; or a file of another kind."""
     return _readers(path)[0](path)
 
 
 def files_of_mesh(path: Path) -> list[Path]:
-    """The file and all that it names: material libraries, textures, buffers.
-
-    Raises:
-        InputError: see `read_triangles`.
-    """
+    """The file and all that it names: material libraries, textures, buffers. Raises InputError: see
+    `read_triangles`."""
     return [path, *_readers(path)[1](path)]
 
 

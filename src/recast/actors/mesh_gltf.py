@@ -47,71 +47,49 @@ _FORMATS = ("PNG", "JPEG", "WEBP", "BMP", "TGA", "TIFF")
 
 @dataclass(frozen=True)
 class MeshMaterial:
-    """How the triangles of one part look.
+    """How the triangles of one part look."""
 
-    Attributes:
-        factor: (4,) linear RGB and alpha by which texture and vertex colours are multiplied.
-        texture: (H, W, 4) uint8 sRGB and alpha, first row on top; None if there is none.
-        alpha: OPAQUE ignores alpha, MASK cuts out what is below `cutoff`, BLEND lets light through.
-        cutoff: alpha below which a MASK is open.
-        gloss: share of a clear coat's reflection that the surface has, 0 to 1.
-        wrap: how the texture goes on beyond 0 and 1 along u and v.
-        lit: whether light falls on it; else it shows its colour as it is.
-    """
-
+    # (4,) linear RGB and alpha by which texture and vertex colours are multiplied.
     factor: Array = field(default_factory=lambda: np.array([0.5, 0.5, 0.5, 1.0]))
+    # (H, W, 4) uint8 sRGB and alpha, first row on top; None if there is none.
     texture: NDArray[np.uint8] | None = None
+    # OPAQUE ignores alpha, MASK cuts out what is below `cutoff`, BLEND lets light through.
     alpha: Alpha = "OPAQUE"
-    cutoff: float = 0.5
-    gloss: float = 0.0
-    wrap: tuple[Wrap, Wrap] = REPEATED
-    lit: bool = True
+    cutoff: float = 0.5  # alpha below which a MASK is open
+    gloss: float = 0.0  # share of a clear coat's reflection that the surface has, 0 to 1
+    wrap: tuple[Wrap, Wrap] = REPEATED  # how the texture goes on beyond 0 and 1 along u and v
+    lit: bool = True  # whether light falls on it; else it shows its colour as it is
 
 
 @dataclass(frozen=True)
 class Glow:
-    """Light that the triangles of one part emit, beside what they reflect.
+    """Light that the triangles of one part emit, beside what they reflect."""
 
-    Attributes:
-        factor: (3,) linear RGB by which the texture is multiplied.
-        texture, wrap: see `MeshMaterial`.
-        uv: (F, 3, 2) texture coordinates; None without a texture.
-    """
-
-    factor: Array
+    factor: Array  # (3,) linear RGB by which the texture is multiplied
+    # texture, wrap: see `MeshMaterial`.
     texture: NDArray[np.uint8] | None = None
-    uv: Array | None = None
+    uv: Array | None = None  # (F, 3, 2) texture coordinates; None without a texture
     wrap: tuple[Wrap, Wrap] = REPEATED
 
 
 @dataclass(frozen=True)
 class Triangles:
-    """Triangles of one material.
+    """Triangles of one material."""
 
-    Attributes:
-        corners: (F, 3, 3) in the file's frame and unit.
-        uv: (F, 3, 2) texture coordinates, (0, 0) the upper left corner; None if there are none.
-        colours: (F, 3, 4) linear vertex colours and alpha; None if there are none.
-        material: how they look.
-        glow: light that they emit; None if they do not.
-    """
-
-    corners: Array
+    corners: Array  # (F, 3, 3) in the file's frame and unit
+    # (F, 3, 2) texture coordinates, (0, 0) the upper left corner; None if there are none.
     uv: Array | None
-    colours: Array | None
-    material: MeshMaterial
-    glow: Glow | None = None
+    colours: Array | None  # (F, 3, 4) linear vertex colours and alpha; None if there are none
+    material: MeshMaterial  # how they look
+    glow: Glow | None = None  # light that they emit; None if they do not
 
     def __len__(self) -> int:
         return len(self.corners)
 
 
 def checked(path: Path, parts: Sequence[Triangles]) -> list[Triangles]:
-    """The parts that have triangles, once all their numbers are finite and in range.
-
-    Raises:
-        InputError: no triangles, or a vertex, a texture coordinate or a colour is out of range.
-    """
+    """The parts that have triangles, once all their numbers are finite and in range. Raises
+    InputError: no triangles, or a vertex, a texture coordinate or a colour is out of range."""
     parts = [part for part in parts if len(part)]
     if not parts:
         raise InputError(path, "mesh", "holds no triangles", "export the mesh with its faces")
@@ -127,11 +105,8 @@ def checked(path: Path, parts: Sequence[Triangles]) -> list[Triangles]:
 
 
 def require_few(path: Path, triangles: int) -> None:
-    """Refuse a mesh of too many triangles, before memory for them is taken.
-
-    Raises:
-        InputError: there are more than `MOST_TRIANGLES`.
-    """
+    """Refuse a mesh of too many triangles, before memory for them is taken. Raises InputError:
+    there are more than `MOST_TRIANGLES`."""
     if triangles > MOST_TRIANGLES:
         problem = f"has {triangles} triangles"
         raise InputError(path, "mesh", problem, f"reduce the mesh to at most {MOST_TRIANGLES}")
@@ -152,11 +127,8 @@ def named_file(path: Path, name: str, what: str) -> Path:
 
 
 def decoded(path: Path, data: bytes, what: str) -> NDArray[np.uint8]:
-    """A texture, (H, W, 4) sRGB and alpha, averaged until no edge is above 2048 pixels.
-
-    Raises:
-        InputError: no whole picture of a known format, or one of more than `MOST_PIXELS`.
-    """
+    """A texture, (H, W, 4) sRGB and alpha, averaged until no edge is above 2048 pixels. Raises
+    InputError: no whole picture of a known format, or one of more than `MOST_PIXELS`."""
     mend = f"use {', '.join(_FORMATS)}"
     image = Image.fromarray(rgba(decode_image(data, path, _FORMATS, MOST_PIXELS, what, mend)))
     return np.array(image.reduce(math.ceil(max(image.size) / _KEPT_EDGE)))
@@ -177,12 +149,9 @@ _CLEAREST = 0.08  # alpha of glass that transmits everything: what its two faces
 
 
 def read_glb(path: Path) -> list[Triangles]:
-    """The triangles of a GLB's scene, in its frame (y up by the specification) and unit.
-
-    Raises:
-        InputError: no whole GLB, a member that is missing or out of range, too large, compressed,
-            rigged, or naming files that are not in its folder.
-    """
+    """The triangles of a GLB's scene, in its frame (y up by the specification) and unit. Raises
+    InputError: no whole GLB, a member that is missing or out of range, too large, compressed,
+    rigged, or naming files that are not in its folder."""
     file = GlbFile(path)
     drawn, total = [], 0
     for one, pose, where in placed_primitives(file):
@@ -196,11 +165,7 @@ def read_glb(path: Path) -> list[Triangles]:
 
 
 def files_of_glb(path: Path) -> list[Path]:
-    """Other files that a GLB names.
-
-    Raises:
-        InputError: see `read_glb`.
-    """
+    """Other files that a GLB names. Raises InputError: see `read_glb`."""
     tree = GlbFile(path).tree
     named = [("buffers", tree.buffers), ("images", tree.images)]
     found = [
@@ -213,11 +178,7 @@ def files_of_glb(path: Path) -> list[Path]:
 
 
 def _corner_count(file: GlbFile, primitive: Primitive, field: str) -> int:
-    """How many corners a primitive has.
-
-    Raises:
-        InputError: it has no positions.
-    """
+    """How many corners a primitive has. Raises InputError: it has no positions."""
     if "POSITION" not in primitive.attributes:
         raise file.fault(f"{field}.attributes", "lack POSITION")
     at = primitive.attributes["POSITION"]

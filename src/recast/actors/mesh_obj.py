@@ -54,13 +54,10 @@ _MARK, _WIDE_MARKS = b"\xef\xbb\xbf", (b"\xff\xfe", b"\xfe\xff")  # of UTF-8, of
 
 @dataclass(frozen=True)
 class _Picture:
-    """A texture's file, and how it is laid on.
-
-    Attributes:
-        scale, offset: (2,) of texture coordinates, upwards.
-    """
+    """A texture's file, and how it is laid on."""
 
     path: Path
+    # scale, offset: (2,) of texture coordinates, upwards.
     scale: tuple[float, float] = (1.0, 1.0)
     offset: tuple[float, float] = (0.0, 0.0)
     wrap: tuple[Wrap, Wrap] = REPEATED
@@ -68,20 +65,15 @@ class _Picture:
 
 @dataclass(frozen=True)
 class _Entry:
-    """A material as a library has it.
+    """A material as a library has it."""
 
-    Attributes:
-        colour: (3,) linear `Kd`.
-        opacity, transparency: `d` and `Tr`; None if they are not given.
-        emission: (3,) linear `Ke`; None if it is not given.
-        pictures: textures by their statement in lower case.
-    """
-
-    colour: Array = field(default_factory=lambda: _GREY.factor[:3])
+    colour: Array = field(default_factory=lambda: _GREY.factor[:3])  # (3,) linear `Kd`
+    # opacity, transparency: `d` and `Tr`; None if they are not given.
     opacity: float | None = None
     transparency: float | None = None
     gloss: float = 0.0
-    emission: Array | None = None
+    emission: Array | None = None  # (3,) linear `Ke`; None if it is not given
+    # textures by their statement in lower case.
     pictures: Mapping[str, _Picture] = field(default_factory=dict)
 
     def alpha(self, tr_is_opacity: bool) -> float:
@@ -213,11 +205,8 @@ def _cut(outline: Array, fan: NDArray[np.int64]) -> NDArray[np.int64]:
 
 
 def files_of_obj(path: Path) -> list[Path]:
-    """The material libraries that an OBJ names, and the textures that these name.
-
-    Raises:
-        InputError: see `read_obj`.
-    """
+    """The material libraries that an OBJ names, and the textures that these name. Raises
+    InputError: see `read_obj`."""
     found: list[Path] = []
     for _, words, rest in _lines(path):
         if words[0] == "mtllib":
@@ -230,10 +219,7 @@ def files_of_obj(path: Path) -> list[Path]:
 
 def _lines(path: Path) -> Iterator[tuple[int, list[str], str]]:
     """Number, words and what follows the first word, of lines that are neither empty nor comment.
-
-    Raises:
-        InputError: see `files.read_bytes`.
-    """
+    Raises InputError: see `files.read_bytes`."""
     data = files.read_bytes(path, _MOST_BYTES).removeprefix(_MARK)
     if data.startswith(_WIDE_MARKS):
         data = data.decode("utf-16", "replace").encode()
@@ -370,11 +356,8 @@ def _masked(texture: NDArray[np.uint8] | None, mask: NDArray[np.uint8]) -> NDArr
 
 
 def _decoded(path: Path, entries: Iterable[_Entry]) -> dict[Path, NDArray[np.uint8]]:
-    """Textures of materials, each once.
-
-    Raises:
-        InputError: there are too many, or one is missing, too large or no picture.
-    """
+    """Textures of materials, each once. Raises InputError: there are too many, or one is missing,
+    too large or no picture."""
     named = {picture.path: statement for e in entries for statement, picture in e.pictures.items()}
     if len(named) > MOST_TEXTURES:
         problem = f"name {len(named)} textures"

@@ -106,11 +106,8 @@ def observe(
 
 
 def require_points(points: NDArray[np.float32], log: DrivingLog, track_id: str) -> None:
-    """Refuse a track whose LiDAR points (N, 3) are too few to place a vehicle by.
-
-    Raises:
-        InputError: fewer than 20.
-    """
+    """Refuse a track whose LiDAR points (N, 3) are too few to place a vehicle by. Raises
+    InputError: fewer than 20."""
     if len(points) < MIN_LIDAR_POINTS:
         raise InputError(
             log.name,

@@ -44,18 +44,13 @@ _LIMIT = 4.0  # units that one kind of evidence is worth at most
 
 @dataclass(frozen=True)
 class PoseAgreement:
-    """How a turned asset agrees with the observation.
+    """How a turned asset agrees with the observation."""
 
-    Attributes:
-        lidar: fit to the LiDAR points after a short alignment; None where there are none.
-        silhouette: intersection over union of its outline, seen from the crop's camera, and the
-            mask.
-        colour: mean absolute difference to the crop where both are, display values, after the best
-            gain of each channel.
-    """
-
-    lidar: Fit | None
+    lidar: Fit | None  # fit to the LiDAR points after a short alignment; None where there are none
+    # intersection over union of its outline, seen from the crop's camera, and the mask.
     silhouette: float
+    # mean absolute difference to the crop where both are, display values, after the best gain of
+    # each channel.
     colour: float
 
 
@@ -102,17 +97,11 @@ def front_votes(
 
 @dataclass(frozen=True)
 class Start:
-    """asset_placed = matrix (scale x), with the asset's axes turned upright already.
+    """asset_placed = matrix (scale x), with the asset's axes turned upright already."""
 
-    Attributes:
-        yaw: turn about the vertical, radians.
-        scale: metres per unit of the asset.
-        matrix: (4, 4) rigid part, applied after the scale.
-    """
-
-    yaw: float
-    scale: float
-    matrix: Array
+    yaw: float  # turn about the vertical, radians
+    scale: float  # metres per unit of the asset
+    matrix: Array  # (4, 4) rigid part, applied after the scale
 
     def apply(self, surface: FitSurface) -> FitSurface:
         """The surface, placed."""
@@ -121,12 +110,9 @@ class Start:
 
 
 def stood_up(asset: Asset) -> tuple[Gaussians, FitSurface]:
-    """An asset with its axes turned upright, in its own units, and its outer surface.
-
-    Raises:
-        InputError: it is hardly opaque, has no volume, or has values that are not finite or out of
-            range, if only at the size of a box.
-    """
+    """An asset with its axes turned upright, in its own units, and its outer surface. Raises
+    InputError: it is hardly opaque, has no volume, or has values that are not finite or out of
+    range, if only at the size of a box."""
     where, mend = f"asset of {asset.generator}", "use another seed, or export the asset again"
     fault = asset.gaussians.fault()
     if fault is not None:
@@ -169,30 +155,22 @@ def box_misfit(sides: Array, size: Array) -> float:
 
 @dataclass(frozen=True)
 class PlacementReport:
-    """How an asset came to stand in its box.
+    """How an asset came to stand in its box."""
 
-    Attributes:
-        axes: convention the asset came in.
-        yaw: angle by which it was turned after that, radians in [-pi, pi).
-        scale: asset units to metres, refinement included.
-        shift: (3,) metres by which the refinement moved it from the middle of the box's floor.
-        votes: evidence for the orientation nearest to the declared forward axis, in units.
-        flipped: whether the votes turned it half around.
-        overlap_before, overlap: mean intersection over union with the masks, before and after the
-            refinement.
-        colour: mean absolute difference of colours to the views, see `agreement.PoseAgreement`.
-        width_over_box, height_over_box: extents at the scale of the length over the box's.
-    """
-
-    axes: str
-    yaw: float
-    scale: float
+    axes: str  # convention the asset came in
+    yaw: float  # angle by which it was turned after that, radians in [-pi, pi)
+    scale: float  # asset units to metres, refinement included
+    # (3,) metres by which the refinement moved it from the middle of the box's floor.
     shift: tuple[float, float, float]
+    # evidence for the orientation nearest to the declared forward axis, in units.
     votes: dict[str, float]
-    flipped: bool
+    flipped: bool  # whether the votes turned it half around
+    # overlap_before, overlap: mean intersection over union with the masks, before and after the
+    # refinement.
     overlap_before: float
     overlap: float
-    colour: float
+    colour: float  # mean absolute difference of colours to the views, see `agreement.PoseAgreement`
+    # width_over_box, height_over_box: extents at the scale of the length over the box's.
     width_over_box: float
     height_over_box: float
 

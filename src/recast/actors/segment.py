@@ -72,11 +72,8 @@ class Segmenter(Protocol):
 
 
 def run_segmenter(segmenter: Segmenter, target: SegmentationTarget) -> Segmentation:
-    """Segment, whichever of the two forms the segmenter answers in.
-
-    Raises:
-        ValueError: the alpha is not (H, W) uint8 of the crop's size.
-    """
+    """Segment, whichever of the two forms the segmenter answers in. Raises ValueError: the alpha is
+    not (H, W) uint8 of the crop's size."""
     with foreign_call(f"segmenter {type(segmenter).__name__}", "segment", segmenter):
         found = segmenter.segment(read_only(target))
     segmentation = found if isinstance(found, Segmentation) else Segmentation(found)

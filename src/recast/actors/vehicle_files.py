@@ -44,11 +44,8 @@ _PER_VOXEL, _LARGEST_SPREAD, _LEAST_DEVIATION = 32, 1.5 / 64 + 1e-5, 9e-4
 
 
 def holds_gaussians(path: Path) -> bool:
-    """Whether a vehicle file holds Gaussians, not a mesh; of a GLB its content tells.
-
-    Raises:
-        InputError: a GLB cannot be opened.
-    """
+    """Whether a vehicle file holds Gaussians, not a mesh; of a GLB its content tells. Raises
+    InputError: a GLB cannot be opened."""
     suffix = path.suffix.lower()
     return has_gaussians(path) if suffix == GLTF.suffix else suffix in splat_suffixes()
 
@@ -292,11 +289,7 @@ def vehicle_generator(
 
 
 def files_of_vehicle(path: Path) -> list[Path]:
-    """The file and all others that it names.
-
-    Raises:
-        InputError: see `files_of_mesh`.
-    """
+    """The file and all others that it names. Raises InputError: see `files_of_mesh`."""
     return files_of_mesh(path) if path.suffix.lower() in MESH_SUFFIXES else [path]
 
 

@@ -376,15 +376,10 @@ _TURNS = tuple(
 
 @dataclass(frozen=True)
 class Face:
-    """A pinhole camera at the lens's place.
+    """A pinhole camera at the lens's place."""
 
-    Attributes:
-        camera: rectified, just large enough for what the lens sees through it.
-        face_from_lens: (3, 3) rotation.
-    """
-
-    camera: PinholeCamera
-    face_from_lens: Array
+    camera: PinholeCamera  # rectified, just large enough for what the lens sees through it
+    face_from_lens: Array  # (3, 3) rotation
 
 
 class Lens:
@@ -430,22 +425,16 @@ class Lens:
 
     @property
     def source(self) -> PinholeCamera:
-        """The rectified camera of a lens with one face.
-
-        Raises:
-            ValueError: it has none or several.
-        """
+        """The rectified camera of a lens with one face. Raises ValueError: it has none or
+        several."""
         if len(self.faces) != 1 or self.faces[0].face_from_lens is not _TURNS[0]:
             raise ValueError(f"Lens.source: it has {len(self.faces)} faces")
         return self.faces[0].camera
 
     def bend(self, *images: Image) -> Image:
         """Images (h, w, 3) uint8 of the faces as `camera` sees them (height, width, 3), black
-        beyond its limit.
-
-        Raises:
-            ValueError: an image does not have the size of its face, or is missing.
-        """
+        beyond its limit. Raises ValueError: an image does not have the size of its face, or is
+        missing."""
         if len(images) != len(self.faces):
             raise ValueError(f"Lens.bend: expected {len(self.faces)} images, got {len(images)}")
         for image, face in zip(images, self.faces, strict=True):
@@ -478,11 +467,8 @@ def _extents(
     camera: LensCamera, rays: Array, most_pixels: int
 ) -> Iterator[tuple[Array, Array, Array, Array, Array]]:
     """The faces of some pixels: `face_from_lens` (3, 3), mask of the pixels (height, width), where
-    they are on the face (n, 2), its lower corner and its size (2,), all in pixels.
-
-    Raises:
-        ValueError: see `Lens`.
-    """
+    they are on the face (n, 2), its lower corner and its size (2,), all in pixels. Raises
+    ValueError: see `Lens`."""
     below, pixels = 0.0, 0.0
     for turn, there in _split(rays, np.isfinite(rays[..., 2])):
         here = rays[there] @ turn.T

@@ -44,10 +44,7 @@ class Polyline:
     @classmethod
     def from_points(cls, points: ArrayLike, min_step: float = 1e-6) -> Polyline:
         """Build from points (N, >=2) without those within `min_step` metres of the last kept.
-
-        Raises:
-            ValueError: fewer than two distinct points remain.
-        """
+        Raises ValueError: fewer than two distinct points remain."""
         xy = np.asarray(points, np.float64)[:, :2]
         kept = [0] if len(xy) else []
         for i in range(1, len(xy)):

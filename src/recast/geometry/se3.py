@@ -55,11 +55,8 @@ def nearest_rotations(matrices: ArrayLike) -> tuple[Array, Array]:
 
 
 def quat_to_matrix(quat: ArrayLike) -> Array:
-    """Rotation matrices (..., 3, 3) of quaternions (..., 4) wxyz, normalised first.
-
-    Raises:
-        ValueError: a quaternion has norm zero.
-    """
+    """Rotation matrices (..., 3, 3) of quaternions (..., 4) wxyz, normalised first. Raises
+    ValueError: a quaternion has norm zero."""
     rotation = _transform().Rotation.from_quat(np.asarray(quat, np.float64), scalar_first=True)
     return np.asarray(rotation.as_matrix())
 

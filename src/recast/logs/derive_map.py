@@ -34,17 +34,11 @@ Grid = NDArray[np.bool_]
 
 @dataclass(frozen=True)
 class GroundGrid:
-    """LiDAR evidence about the ground.
+    """LiDAR evidence about the ground."""
 
-    Attributes:
-        origin: (2,) world x, y of the centre of cell [0, 0].
-        level: (rows along y, columns along x) ground level in metres, NaN without evidence.
-        smooth: cells that are flat enough to drive on.
-    """
-
-    origin: Array
-    level: Array
-    smooth: Grid
+    origin: Array  # (2,) world x, y of the centre of cell [0, 0]
+    level: Array  # (rows along y, columns along x) ground level in metres, NaN without evidence
+    smooth: Grid  # cells that are flat enough to drive on
 
     def cells(self, points: Array) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
         """Rows and columns of the cells that hold points (..., 2), clipped to the grid."""

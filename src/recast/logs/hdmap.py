@@ -195,39 +195,26 @@ class _MapModel(Record):
 
 
 def write_map(hd_map: HdMap, path: str | Path) -> None:
-    """Write `hd_map` to `path`, whole or not at all; floats keep every digit.
-
-    Raises:
-        ValueError: the map is not valid.
-    """
+    """Write `hd_map` to `path`, whole or not at all; floats keep every digit. Raises ValueError:
+    the map is not valid."""
     files.write_text(path, map_text(hd_map))
 
 
 def map_text(hd_map: HdMap) -> str:
-    """The content of a map.json.
-
-    Raises:
-        ValueError: the map is not valid.
-    """
+    """The content of a map.json. Raises ValueError: the map is not valid."""
     hd_map.validate()
     return _layout(_to_json(hd_map))
 
 
 def read_map(path: str | Path) -> HdMap:
-    """Read a map.json.
-
-    Raises:
-        InputError: missing, not a map.json, of another version, or a field of the wrong kind.
-    """
+    """Read a map.json. Raises InputError: missing, not a map.json, of another version, or a field
+    of the wrong kind."""
     return parse_map(path, files.read_json(path))
 
 
 def parse_map(where: str | Path, value: Any) -> HdMap:
-    """The map of a map.json's JSON data, which was read from `where`.
-
-    Raises:
-        InputError: no map.json, of another version, or a field of the wrong kind.
-    """
+    """The map of a map.json's JSON data, which was read from `where`. Raises InputError: no
+    map.json, of another version, or a field of the wrong kind."""
     mend = "import the drive again with this version of recast"
     model = parse_record(where, value, _MapModel, VERSION, mend, "recast-map")
     with refused(where, mend):

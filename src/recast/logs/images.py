@@ -70,11 +70,8 @@ def size_of(data: bytes, kind: str, where: str | Path) -> tuple[int, int]:
 def require_size(
     found: tuple[int, int], size: tuple[int, int], where: str | Path, says: str
 ) -> None:
-    """Check the width and height of an image; arguments as of `decode`.
-
-    Raises:
-        InputError: they differ.
-    """
+    """Check the width and height of an image; arguments as of `decode`. Raises InputError: they
+    differ."""
     if found != size:
         raise InputError(
             where,
@@ -111,30 +108,22 @@ def kind_of(data: bytes) -> str:
 
 
 def image_size(path: Path) -> tuple[int, int]:
-    """Width and height of a PNG or JPEG file; its pixels are not decoded.
-
-    Raises:
-        InputError: it is no such file.
-    """
+    """Width and height of a PNG or JPEG file; its pixels are not decoded. Raises InputError: it is
+    no such file."""
     data = read_bytes(path, _LARGEST)
     return size_of(data, kind_of(data), path)
 
 
 @dataclass(frozen=True)
 class ImageFiles:
-    """PNG or JPEG files of one camera; an `EncodedImageSource`.
+    """PNG or JPEG files of one camera; an `EncodedImageSource`."""
 
-    Attributes:
-        paths: F files in the order of time.
-        width, height: pixels that every image must have.
-        calibration: name of the file that says so, for messages.
-        checked: digests of the bytes of files that were decoded by `check`.
-    """
-
-    paths: tuple[Path, ...]
+    paths: tuple[Path, ...]  # F files in the order of time
+    # width, height: pixels that every image must have.
     width: int
     height: int
-    calibration: str
+    calibration: str  # name of the file that says so, for messages
+    # digests of the bytes of files that were decoded by `check`.
     checked: dict[Path, bytes] = field(default_factory=dict, repr=False, compare=False)
 
     def __len__(self) -> int:
@@ -147,11 +136,8 @@ class ImageFiles:
         return self._decode(path, read_bytes(path, _LARGEST))
 
     def encoded(self, index: int) -> tuple[bytes, str]:
-        """What `stored` makes of the file, decoded once, unless `check` saw the same bytes.
-
-        Raises:
-            InputError: it is cut off, is no image, or has another size.
-        """
+        """What `stored` makes of the file, decoded once, unless `check` saw the same bytes. Raises
+        InputError: it is cut off, is no image, or has another size."""
         path = self.paths[index]
         data = read_bytes(path, _LARGEST)
         if self.checked.get(path) != _digest(data):
@@ -159,11 +145,8 @@ class ImageFiles:
         return stored(data, kind_of(data), path)
 
     def check(self) -> None:
-        """Decode every file once.
-
-        Raises:
-            InputError: one is cut off, is no image, or has another size.
-        """
+        """Decode every file once. Raises InputError: one is cut off, is no image, or has another
+        size."""
         for path in self.paths:
             data = read_bytes(path, _LARGEST)
             self._decode(path, data)

@@ -28,10 +28,7 @@ def compensate(
     points: Array, timestamps_us: Int64Array, world_from_rig: Trajectory, reference_us: int
 ) -> Array:
     """Points (N, 3) of the rig frames at `timestamps_us` (N,), in the rig frame at `reference_us`.
-
-    Raises:
-        ValueError: a time lies outside the trajectory.
-    """
+    Raises ValueError: a time lies outside the trajectory."""
     times, index = distinct_times(timestamps_us)
     moved = se3.inverse(world_from_rig.at(reference_us)) @ world_from_rig.at(times)
     return _apply_each(moved, index, points)

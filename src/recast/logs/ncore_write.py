@@ -102,13 +102,9 @@ def readable(path: Path, field: str) -> Iterator[None]:
 
 @dataclass(frozen=True)
 class NcoreFolder:
-    """An NCore V4 store in a folder; cheap to copy into another process.
+    """An NCore V4 store in a folder; cheap to copy into another process."""
 
-    Attributes:
-        folder: folder that holds ncore.json and the stores it lists.
-    """
-
-    folder: Path
+    folder: Path  # folder that holds ncore.json and the stores it lists
 
     @property
     def listing(self) -> Path:
@@ -116,11 +112,8 @@ class NcoreFolder:
         return self.folder / SEQUENCE_FILE
 
     def check(self) -> None:
-        """Open every store.
-
-        Raises:
-            InputError: ncore.json or a store it lists is missing or broken.
-        """
+        """Open every store. Raises InputError: ncore.json or a store it lists is missing or
+        broken."""
         self._open()
 
     def has(self, kind: type[Any], name: str) -> bool:
@@ -128,11 +121,7 @@ class NcoreFolder:
         return name in _open_components(self._open(), cast(Hashable, kind))
 
     def component(self, kind: type[Reader], name: str) -> Reader:
-        """The component reader of this kind and instance name.
-
-        Raises:
-            InputError: there is none.
-        """
+        """The component reader of this kind and instance name. Raises InputError: there is none."""
         field = f"{kind.__qualname__.split('.')[0]} {name!r}"
         with readable(self.listing, field):
             components = _open_components(self._open(), cast(Hashable, kind))

@@ -135,47 +135,28 @@ class Finding:
 
 @dataclass(frozen=True)
 class Figures:
-    """What was measured; None where the log has nothing to measure it by. Degrees, metres, seconds.
+    """What was measured, in degrees, metres and seconds; None if nothing in the log measures it."""
 
-    Attributes:
-        rig_lean: median angle from the rig's z axis to the world's.
-        heading_off: median angle between motion and heading, folded for reversing.
-        heading_off_worst: the same angle, 90th percentile.
-        turning: turn of the heading for each turn of the way; 1.0 for a car.
-        reversing: share of the way that was driven backwards.
-        speed: fastest speed over a second.
-        acceleration: strongest horizontal acceleration over a second.
-        box_lean: largest median lean of a track's box.
-        vehicles: number of tracks of cars, vans, trucks and buses.
-        wider_than_long: number of those whose box is wider than long.
-        moving: number of vehicles whose direction of motion can be measured.
-        sideways: number of those that move across their box's heading.
-        backwards: number of those that move backwards fast.
-        jumps: number of steps of tracks that nothing can do.
-        flips: number of labels whose heading is opposite to that of most labels of their track.
-        principal_point: largest distance of a principal point from its image's centre, as a share
-            of the image's width or height; up to 0.25 is in the middle half.
-        one_value: share of the sampled images whose pixels all have one value.
-        near_points: share of the sampled LiDAR points within 0.5 m of their sensor.
-    """
-
-    rig_lean: float
-    heading_off: float | None
-    heading_off_worst: float | None
-    turning: float | None
-    reversing: float | None
-    speed: float
-    acceleration: float | None
-    box_lean: float | None
-    vehicles: int
-    wider_than_long: int
-    moving: int
-    sideways: int
-    backwards: int
-    jumps: int
-    flips: int
+    rig_lean: float  # median angle from the rig's z axis to the world's
+    heading_off: float | None  # median angle between motion and heading, folded for reversing
+    heading_off_worst: float | None  # the same angle, 90th percentile
+    turning: float | None  # turn of the heading for each turn of the way; 1.0 for a car
+    reversing: float | None  # share of the way that was driven backwards
+    speed: float  # fastest speed over a second
+    acceleration: float | None  # strongest horizontal acceleration over a second
+    box_lean: float | None  # largest median lean of a track's box
+    vehicles: int  # number of tracks of cars, vans, trucks and buses
+    wider_than_long: int  # number of those whose box is wider than long
+    moving: int  # number of vehicles whose direction of motion can be measured
+    sideways: int  # number of those that move across their box's heading
+    backwards: int  # number of those that move backwards fast
+    jumps: int  # number of steps of tracks that nothing can do
+    flips: int  # number of labels whose heading is opposite to that of most labels of their track
+    # largest distance of a principal point from its image's centre, as a share of the image's width
+    # or height; up to 0.25 is in the middle half.
     principal_point: float | None
-    one_value: float | None = None
+    one_value: float | None = None  # share of the sampled images whose pixels all have one value
+    # share of the sampled LiDAR points within 0.5 m of their sensor.
     near_points: float | None = None
 
 
@@ -364,16 +345,11 @@ def rescaled(camera: PinholeCamera, factor: float) -> PinholeCamera:
 
 @dataclass(frozen=True)
 class _Motion:
-    """Chords (N,) of a trajectory where it moves: angle to the heading, and way ahead.
+    """Chords (N,) of a trajectory where it moves: angle to the heading, and way ahead."""
 
-    Attributes:
-        beside: degrees, folded for reversing.
-        ahead: metres a second along the heading, below zero backwards.
-        turning: turn of the heading for each turn of the way; None if the way is straight.
-    """
-
-    beside: Array
-    ahead: Array
+    beside: Array  # degrees, folded for reversing
+    ahead: Array  # metres a second along the heading, below zero backwards
+    # turn of the heading for each turn of the way; None if the way is straight.
     turning: float | None
 
     @classmethod

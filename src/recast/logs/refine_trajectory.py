@@ -137,12 +137,9 @@ def heading_offset(trajectory: Trajectory) -> float:
 
 @dataclass(frozen=True)
 class Surfels:
-    """Points with the normals of the surface around them.
+    """Points with the normals of the surface around them."""
 
-    Attributes:
-        points, normals: (N, 3).
-    """
-
+    # points, normals: (N, 3).
     points: Array
     normals: Array
 

@@ -53,16 +53,11 @@ from recast.logs.types import (
 
 @dataclass(frozen=True)
 class StoredImages:
-    """Encoded frames of one camera in a store; implements `EncodedImageSource`.
-
-    Attributes:
-        camera: the sensor's name.
-        size: width and height of every frame.
-    """
+    """Encoded frames of one camera in a store; implements `EncodedImageSource`."""
 
     store: NcoreFolder
-    camera: str
-    size: tuple[int, int]
+    camera: str  # the sensor's name
+    size: tuple[int, int]  # width and height of every frame
     frame_ids: tuple[int, ...]
 
     def __len__(self) -> int:
@@ -70,21 +65,14 @@ class StoredImages:
         return len(self.frame_ids)
 
     def __getitem__(self, index: int) -> Image:
-        """Decode frame `index` to (height, width, 3) uint8 RGB.
-
-        Raises:
-            InputError: it is damaged, or has another size.
-        """
+        """Decode frame `index` to (height, width, 3) uint8 RGB. Raises InputError: it is damaged,
+        or has another size."""
         data, kind = self.encoded(index)
         where = f"{self.store.folder}: camera {self.camera}, frame {index}"
         return images.decode(data, kind, self.size, where, "log.json")
 
     def encoded(self, index: int) -> tuple[bytes, str]:
-        """The bytes of frame `index` and their format.
-
-        Raises:
-            InputError: they cannot be read.
-        """
+        """The bytes of frame `index` and their format. Raises InputError: they cannot be read."""
         reader = self.store.component(CameraSensorComponent.Reader, names.folder_name(self.camera))
         with readable(self.store.folder, f"camera {self.camera}, frame {index}"):
             frame = reader.get_frame_data(self.frame_ids[index])
@@ -106,11 +94,7 @@ class StoredSweeps:
         return len(self.frame_ids)
 
     def __getitem__(self, index: int) -> LidarSweep:
-        """Decode sweep `index`.
-
-        Raises:
-            InputError: it is damaged.
-        """
+        """Decode sweep `index`. Raises InputError: it is damaged."""
         reader = self.store.component(LidarSensorComponent.Reader, names.folder_name(self.lidar))
         with readable(self.store.folder, f"LiDAR {self.lidar}, sweep {index}"):
             sweep = self._decode(reader, self.frame_ids[index])
@@ -134,11 +118,7 @@ class StoredSweeps:
 
 
 def read_trajectory(store: NcoreFolder) -> Trajectory:
-    """The ego trajectory, not validated.
-
-    Raises:
-        InputError: there is none.
-    """
+    """The ego trajectory, not validated. Raises InputError: there is none."""
     reader = store.component(PosesComponent.Reader, COMPONENT)
     with readable(store.folder, "ego trajectory"):
         poses, times = reader.get_dynamic_pose("rig", "world")
@@ -191,11 +171,7 @@ def _mask(store: NcoreFolder, stored: str, size: tuple[int, int]) -> Mask | None
 
 
 def read_lidar(store: NcoreFolder, name: str, world_from_rig: Trajectory) -> LidarStream:
-    """One LiDAR with lazy sweeps.
-
-    Raises:
-        InputError: a part of it is missing or damaged.
-    """
+    """One LiDAR with lazy sweeps. Raises InputError: a part of it is missing or damaged."""
     stored = names.folder_name(name)
     reader = store.component(LidarSensorComponent.Reader, stored)
     with readable(store.folder, f"LiDAR {name!r}"):
@@ -211,11 +187,8 @@ def _reference_time(reader: LidarSensorComponent.Reader, frame: int) -> int:
 
 
 def read_tracks(store: NcoreFolder) -> dict[str, Track]:
-    """All tracks, in the order in which they were written; not validated.
-
-    Raises:
-        InputError: a box is damaged.
-    """
+    """All tracks, in the order in which they were written; not validated. Raises InputError: a box
+    is damaged."""
     cuboids = store.component(CuboidsComponent.Reader, COMPONENT)
     # NCore's own get_observations checks types box by box: a millisecond each, and a city log has
     # 12,000. The stored records are the same.

@@ -217,11 +217,7 @@ class RowAdam:
         return state
 
     def load_state_dict(self, state: Mapping[str, Tensor]) -> None:
-        """Go on from `state_dict`.
-
-        Raises:
-            KeyError: a parameter's moments are missing.
-        """
+        """Go on from `state_dict`. Raises KeyError: a parameter's moments are missing."""
         self.steps = int(state["steps"])
         for part, moments in (("first", self._first), ("second", self._second)):
             for name, p in self.params.items():

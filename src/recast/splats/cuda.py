@@ -20,11 +20,8 @@ _MAX_ALPHA_1_5 = 0.999
 
 
 def load_gsplat() -> ModuleType:
-    """The module gsplat, its kernels built where this is the first call on this machine.
-
-    Raises:
-        InputError: it is not installed, or has no kernels because it found no CUDA compiler.
-    """
+    """The module gsplat, its kernels built where this is the first call on this machine. Raises
+    InputError: it is not installed, or has no kernels because it found no CUDA compiler."""
     try:
         gsplat = import_module("gsplat")
     except ImportError as error:

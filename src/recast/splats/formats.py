@@ -134,11 +134,7 @@ def _coefficient(k: int) -> str:
 
 
 def has_gaussians(path: str | Path) -> bool:
-    """Whether a GLB draws Gaussians; it may draw triangles too.
-
-    Raises:
-        InputError: no whole GLB.
-    """
+    """Whether a GLB draws Gaussians; it may draw triangles too. Raises InputError: no whole GLB."""
     return any(EXTENSION in one.extensions for one, _, _ in placed_primitives(_opened(path)))
 
 
@@ -168,11 +164,8 @@ def read_gltf(path: str | Path, double: bool = False) -> Gaussians:
 
 
 def read_low_pass(path: str | Path) -> LowPass | None:
-    """The filter that `write_gltf` told; None if the file tells none.
-
-    Raises:
-        InputError: no whole GLB, or what it tells is no filter.
-    """
+    """The filter that `write_gltf` told; None if the file tells none. Raises InputError: no whole
+    GLB, or what it tells is no filter."""
     extras = _opened(path).tree.asset.extras
     told = extras.get(_LOW_PASS) if isinstance(extras, dict) else None
     if told is None:
@@ -230,25 +223,19 @@ Write = Callable[[str | Path, Gaussians, LowPass | None], None]
 
 @dataclass(frozen=True)
 class SplatFormat:
-    """A format of files of Gaussians.
+    """A format of files of Gaussians."""
 
-    Attributes:
-        name: name of the format in commands.
-        suffix: end of a file's name, in lower case.
-        write, read, low_pass: its functions, in the axes of the format. `read` takes the path and
-            `double`, see `read_gaussians`.
-        axes: directions of x (forward), y (left) and z (up) in the format's axes, (3, 3) row by
-            row; None if they are the same.
-        contents: what the files hold, one sentence for who reads them elsewhere.
-    """
-
-    name: str
-    suffix: str
+    name: str  # name of the format in commands
+    suffix: str  # end of a file's name, in lower case
+    # write, read, low_pass: its functions, in the axes of the format. `read` takes the path and
+    # `double`, see `read_gaussians`.
     write: Write
     read: Callable[..., Gaussians]
     low_pass: Callable[[str | Path], LowPass | None]
+    # directions of x (forward), y (left) and z (up) in the format's axes, (3, 3) row by row; None
+    # if they are the same.
     axes: NDArray[np.float64] | None = None
-    contents: str = ""
+    contents: str = ""  # what the files hold, one sentence for who reads them elsewhere
 
 
 PLY = SplatFormat(
@@ -285,11 +272,7 @@ def splat_suffixes() -> tuple[str, ...]:
 
 
 def format_named(name: str) -> SplatFormat:
-    """The format of a name.
-
-    Raises:
-        InputError: it is not installed.
-    """
+    """The format of a name. Raises InputError: it is not installed."""
     if name not in formats():
         names = ", ".join(formats())
         raise InputError("format", name, "is not known", f"choose one of {names}")
@@ -297,11 +280,7 @@ def format_named(name: str) -> SplatFormat:
 
 
 def format_of(path: str | Path) -> SplatFormat:
-    """The format of a file by its name.
-
-    Raises:
-        InputError: the name ends otherwise.
-    """
+    """The format of a file by its name. Raises InputError: the name ends otherwise."""
     suffix = Path(path).suffix.lower()
     for one in formats().values():
         if suffix == one.suffix:

@@ -226,21 +226,14 @@ def _filtered(gaussians: Gaussians, deviation: torch.Tensor) -> Gaussians:
 
 @dataclass(frozen=True)
 class _Header:
-    """Where the vertices are, and of what.
+    """Where the vertices are, and of what."""
 
-    Attributes:
-        start: first byte of the elements' data.
-        before: fields of the elements before the vertices, with the count of each.
-        count: number of vertices.
-        dtype: fields of one vertex.
-        ascii: whether numbers are text.
-    """
-
-    start: int
+    start: int  # first byte of the elements' data
+    # fields of the elements before the vertices, with the count of each.
     before: tuple[tuple[int, np.dtype], ...]
-    count: int
-    dtype: np.dtype
-    ascii: bool
+    count: int  # number of vertices
+    dtype: np.dtype  # fields of one vertex
+    ascii: bool  # whether numbers are text
 
 
 def _parse_header(path: Path, data: bytes) -> _Header:
@@ -292,11 +285,8 @@ def _lines(header: bytes) -> list[str]:
 
 
 def _after_vertex(elements: list[tuple[str, int, list[tuple[str, str]]]]) -> bool:
-    """Whether the element that a property belongs to comes after the vertices: not read.
-
-    Raises:
-        IndexError: there is no element.
-    """
+    """Whether the element that a property belongs to comes after the vertices: not read. Raises
+    IndexError: there is no element."""
     return elements[-1][0] != "vertex" and any(name == "vertex" for name, _, _ in elements)
 
 

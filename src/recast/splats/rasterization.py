@@ -245,11 +245,8 @@ class RasterSettings:
 def check_settings(
     camera_from_world: Tensor, K: Tensor, background: Tensor | None, **numbers: Any
 ) -> RasterSettings:
-    """Check the view; `numbers` are the other members of its settings.
-
-    Raises:
-        ValueError: names the argument at fault.
-    """
+    """Check the view; `numbers` are the other members of its settings. Raises ValueError: names the
+    argument at fault."""
     check_pose(camera_from_world)
     if tuple(K.shape) != (3, 3):
         raise ValueError(f"rasterize: K: shape {tuple(K.shape)}, expected (3, 3)")

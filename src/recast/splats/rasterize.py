@@ -224,16 +224,12 @@ _ROUNDING = 1 + 1e-5
 
 @dataclass(frozen=True)
 class FrozenTables:
-    """B blocks of Gaussians as the compiled kernel reads them: by column, 16 at a time.
+    """B blocks of Gaussians as the compiled kernel reads them: by column, 16 at a time."""
 
-    Attributes:
-        geometry: (8 B, 13, 16) float32: centre, rotation times scale by row, log2 of the opacity.
-        colours: (8 B, 3 K, 16) float16: harmonics.
-        bounds: (B, 5) float32: centre and radius of a sphere around the centres, largest scale.
-    """
-
+    # (8 B, 13, 16) float32: centre, rotation times scale by row, log2 of the opacity.
     geometry: Tensor
-    colours: Tensor
+    colours: Tensor  # (8 B, 3 K, 16) float16: harmonics
+    # (B, 5) float32: centre and radius of a sphere around the centres, largest scale.
     bounds: Tensor
 
 
@@ -253,10 +249,7 @@ class FrozenGaussians:
 
     def recoloured(self, sh: Tensor) -> FrozenGaussians:
         """The same with other harmonics (N, K, 3); what hangs on shapes is not worked out again.
-
-        Raises:
-            ValueError: a shape is wrong, or a value is not finite.
-        """
+        Raises ValueError: a shape is wrong, or a value is not finite."""
         changed = replace(self.gaussians, sh=sh.detach())
         if sh.shape[:1] != self.gaussians.sh.shape[:1] or not bool(torch.isfinite(sh).all()):
             changed.validate()

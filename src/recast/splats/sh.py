@@ -25,11 +25,8 @@ _C3 = (
 
 
 def basis(directions: Tensor, degree: int) -> Tensor:
-    """The (degree + 1)^2 harmonics at unit `directions` (..., 3): (..., K).
-
-    Raises:
-        ValueError: degree is not 0..3.
-    """
+    """The (degree + 1)^2 harmonics at unit `directions` (..., 3): (..., K). Raises ValueError:
+    degree is not 0..3."""
     if not 0 <= degree <= MAX_DEGREE:
         raise ValueError(f"sh: degree {degree}, expected 0..{MAX_DEGREE}")
     x, y, z = directions.unbind(-1)

@@ -103,16 +103,11 @@ def assembled(parts: Sequence[Surface], poses: Sequence[Array], shift: Array) ->
 
 @dataclass(frozen=True)
 class PersonLook:
-    """A person's size and clothes.
+    """A person's size and clothes."""
 
-    Attributes:
-        height: metres, standing.
-        girth: factor of the limbs' thickness.
-        skin, hair, top, trousers, shoes: linear RGB.
-    """
-
-    height: float
-    girth: float
+    height: float  # metres, standing
+    girth: float  # factor of the limbs' thickness
+    # skin, hair, top, trousers, shoes: linear RGB.
     skin: Colour
     hair: Colour
     top: Colour
@@ -137,15 +132,10 @@ class LimbMotion(Protocol):
 
 @dataclass(frozen=True)
 class Gait:
-    """A body that moves with the way it has gone; see `recast.synthetic.world.Articulation`.
+    """A body that moves with the way it has gone; see `recast.synthetic.world.Articulation`."""
 
-    Attributes:
-        motion: parts and poses.
-        middle: (3,) box centre in the body's frame.
-    """
-
-    motion: LimbMotion
-    middle: Array
+    motion: LimbMotion  # parts and poses
+    middle: Array  # (3,) box centre in the body's frame
 
     def surface_at(self, travelled: float) -> Surface:
         """Triangles in the actor-local frame; in number and order the same at any time."""
@@ -236,15 +226,10 @@ _BLACK, _STEEL, _AMBER = (0.02, 0.02, 0.02), (0.35, 0.36, 0.38), (0.8, 0.25, 0.0
 
 @dataclass(frozen=True)
 class Walk:
-    """A walk; its feet do not slip: while a foot is down it moves back as fast as the body ahead.
+    """A walk; its feet do not slip: while one is down it moves back as fast as the body ahead."""
 
-    Attributes:
-        look: look of the person.
-        pack: linear RGB of a backpack, None without one.
-    """
-
-    look: PersonLook
-    pack: tuple[float, float, float] | None = None
+    look: PersonLook  # look of the person
+    pack: tuple[float, float, float] | None = None  # linear RGB of a backpack, None without one
 
     @property
     def cycle(self) -> float:
@@ -324,15 +309,10 @@ def _at(place: Sequence[float] | Array) -> Array:
 
 @dataclass(frozen=True)
 class Ride:
-    """A ride without freewheeling; wheels roll without slipping.
+    """A ride without freewheeling; wheels roll without slipping."""
 
-    Attributes:
-        look: look of the rider.
-        frame: linear RGB of the bicycle's frame.
-    """
-
-    look: PersonLook
-    frame: Colour
+    look: PersonLook  # look of the rider
+    frame: Colour  # linear RGB of the bicycle's frame
 
     @property
     def cycle(self) -> float:

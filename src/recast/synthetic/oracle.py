@@ -101,11 +101,8 @@ class Oracle:
         )
 
     def drawn(self, poses: Mapping[str, Array]) -> dict[str, Array]:
-        """Poses of all that is drawn: `poses`, and the parked vehicles it does not name.
-
-        Raises:
-            InputError: `poses` names a vehicle that the world lacks.
-        """
+        """Poses of all that is drawn: `poses`, and the parked vehicles it does not name. Raises
+        InputError: `poses` names a vehicle that the world lacks."""
         for track_id in poses:
             if track_id not in self.world.vehicles:
                 mend = f"choose one of {', '.join(self.world.vehicles)}"

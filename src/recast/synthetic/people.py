@@ -112,15 +112,10 @@ def _cut(triangles: Array, z: float) -> Array:
 
 @dataclass(frozen=True)
 class PlacedPerson:
-    """A person with its poses.
+    """A person with its poses."""
 
-    Attributes:
-        placed: planar poses.
-        ground: (T,) height of the ground under it.
-    """
-
-    placed: PlacedVehicle
-    ground: Array
+    placed: PlacedVehicle  # planar poses
+    ground: Array  # (T,) height of the ground under it
 
 
 def place_people(

@@ -52,28 +52,18 @@ _TRUTH_VERSION = 1
 
 @dataclass(frozen=True)
 class RigCamera:
-    """One camera.
+    """One camera."""
 
-    Attributes:
-        camera: intrinsics, without distortion.
-        rig_from_camera: (4, 4) OpenCV camera frame to rig.
-    """
-
-    camera: PinholeCamera
-    rig_from_camera: Array
+    camera: PinholeCamera  # intrinsics, without distortion
+    rig_from_camera: Array  # (4, 4) OpenCV camera frame to rig
 
 
 @dataclass(frozen=True)
 class Rig:
-    """All sensors.
+    """All sensors."""
 
-    Attributes:
-        cameras: cameras by name.
-        rig_from_lidar: (4, 4) pose of the sensor `LIDAR`, which looks along the rig's x axis.
-    """
-
-    cameras: Mapping[str, RigCamera]
-    rig_from_lidar: Array
+    cameras: Mapping[str, RigCamera]  # cameras by name
+    rig_from_lidar: Array  # (4, 4) pose of the sensor `LIDAR`, which looks along the rig's x axis
 
 
 def make_rig(width: int = 480, height: int = 320, cameras: tuple[str, ...] | None = None) -> Rig:
@@ -143,15 +133,10 @@ class TruthRecord(BaseModel):
 
 @dataclass(frozen=True)
 class Truth:
-    """Reads the folder; frames are decoded when asked for.
+    """Reads the folder; frames are decoded when asked for."""
 
-    Attributes:
-        folder: folder of truth.json.
-        record: its contents.
-    """
-
-    folder: Path
-    record: TruthRecord
+    folder: Path  # folder of truth.json
+    record: TruthRecord  # its contents
 
     def depth(self, camera: str, frame: int) -> NDArray[np.float32]:
         """(height, width) metres along z, infinite where the sky is."""

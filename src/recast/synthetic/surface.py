@@ -36,26 +36,17 @@ CREASE_ANGLE = np.deg2rad(35)
 
 @dataclass(frozen=True)
 class Material:
-    """One material; the diffuse colour is given per face.
+    """One material; the diffuse colour is given per face."""
 
-    Attributes:
-        name: unique name.
-        texture: procedural pattern that multiplies the diffuse colour.
-        specular: reflectance at normal incidence, Fresnel F0 in [0, 1].
-        roughness: 0 mirrors, 1 has no highlight.
-        metallic: reflections take the face's colour, and there is no diffuse part.
-        emission: radiance added, in units of the diffuse colour under full daylight.
-        lidar: reflectivity at normal incidence in [0, 1] at 905 nm, of a mid-grey surface.
-        retroreflective: sends light back where it came from (plates, signs, road markings).
-    """
-
-    name: str
-    texture: Texture = "none"
-    specular: float = 0.0
-    roughness: float = 1.0
-    metallic: bool = False
-    emission: float = 0.0
+    name: str  # unique name
+    texture: Texture = "none"  # procedural pattern that multiplies the diffuse colour
+    specular: float = 0.0  # reflectance at normal incidence, Fresnel F0 in [0, 1]
+    roughness: float = 1.0  # 0 mirrors, 1 has no highlight
+    metallic: bool = False  # reflections take the face's colour, and there is no diffuse part
+    emission: float = 0.0  # radiance added, in units of the diffuse colour under full daylight
+    # reflectivity at normal incidence in [0, 1] at 905 nm, of a mid-grey surface.
     lidar: float = 0.3
+    # sends light back where it came from (plates, signs, road markings).
     retroreflective: bool = False
 
 
@@ -94,21 +85,13 @@ MATERIAL_INDEX: dict[str, int] = {material.name: i for i, material in enumerate(
 
 @dataclass(frozen=True)
 class Surface:
-    """A triangle mesh, counter-clockwise seen from outside.
+    """A triangle mesh, counter-clockwise seen from outside."""
 
-    Attributes:
-        vertices: (V, 3) float64 metres.
-        faces: (F, 3) int32 indices of vertices.
-        normals: (F, 3, 3) float32 unit shading normal at each corner of each face.
-        colours: (F, 3) float32 linear RGB diffuse reflectance in [0, 1].
-        materials: (F,) uint8 indices into `MATERIALS`.
-    """
-
-    vertices: Array
-    faces: Faces
-    normals: Float32Array
-    colours: Float32Array
-    materials: NDArray[np.uint8]
+    vertices: Array  # (V, 3) float64 metres
+    faces: Faces  # (F, 3) int32 indices of vertices
+    normals: Float32Array  # (F, 3, 3) float32 unit shading normal at each corner of each face
+    colours: Float32Array  # (F, 3) float32 linear RGB diffuse reflectance in [0, 1]
+    materials: NDArray[np.uint8]  # (F,) uint8 indices into `MATERIALS`
 
     @classmethod
     def make(

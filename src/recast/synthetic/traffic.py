@@ -45,23 +45,15 @@ _ROAD_AHEAD = 60.0
 
 @dataclass(frozen=True)
 class RoutePath:
-    """A path with continuous heading and curvature.
+    """A path with continuous heading and curvature."""
 
-    Attributes:
-        lanes: the lanes it follows, in order.
-        line: its points, 0.5 m apart.
-    """
-
-    lanes: tuple[str, ...]
-    line: Polyline
+    lanes: tuple[str, ...]  # the lanes it follows, in order
+    line: Polyline  # its points, 0.5 m apart
 
     @classmethod
     def along(cls, street_map: HdMap, lanes: Sequence[str]) -> RoutePath:
-        """The rounded centreline of successive lanes.
-
-        Raises:
-            ValueError: the lanes hold fewer than two distinct points.
-        """
+        """The rounded centreline of successive lanes. Raises ValueError: the lanes hold fewer than
+        two distinct points."""
         points = np.concatenate([street_map.lanes[name].centreline[:, :2] for name in lanes])
         raw = Polyline.from_points(points, min_step=0.05)
         count = int(np.ceil((raw.length + 2 * _EXTENSION) / _SPACING))
@@ -181,15 +173,10 @@ def _turn(street_map: HdMap, lane: str) -> float:
 
 @dataclass(frozen=True)
 class SpeedProfile:
-    """Speed by place.
+    """Speed by place."""
 
-    Attributes:
-        s: (N,) metres along the path, evenly spaced from 0.
-        speed: (N,) m/s, positive.
-    """
-
-    s: Array
-    speed: Array
+    s: Array  # (N,) metres along the path, evenly spaced from 0
+    speed: Array  # (N,) m/s, positive
 
     def at(self, s: ArrayLike) -> Array:
         """Speeds (...) at arc lengths (...)."""
@@ -237,19 +224,12 @@ def speed_profile(path: RoutePath, cruise: float, rng: np.random.Generator) -> S
 
 @dataclass(frozen=True)
 class EgoDrive:
-    """A drive of the rear axle along a path.
+    """A drive of the rear axle along a path."""
 
-    Attributes:
-        path: the route's centreline, with all the road before and after.
-        profile: speed by place on it.
-        start: metres along the path at time 0.
-        seconds: (T,) times of the log's poses.
-    """
-
-    path: RoutePath
-    profile: SpeedProfile
-    start: float
-    seconds: Array
+    path: RoutePath  # the route's centreline, with all the road before and after
+    profile: SpeedProfile  # speed by place on it
+    start: float  # metres along the path at time 0
+    seconds: Array  # (T,) times of the log's poses
 
     def place(self, seconds: ArrayLike) -> Array:
         """Arc lengths (...) of the rear axle, also before and after the log."""
@@ -331,17 +311,11 @@ _TIGHT = 0.2
 
 @dataclass(frozen=True)
 class TargetDrive:
-    """How the target drives.
+    """How the target drives."""
 
-    Attributes:
-        manner: what was possible, see `Manner`.
-        path: path of the target's middle.
-        place: (T,) metres along the path.
-    """
-
-    manner: Manner
-    path: RoutePath
-    place: Array
+    manner: Manner  # what was possible, see `Manner`
+    path: RoutePath  # path of the target's middle
+    place: Array  # (T,) metres along the path
 
     def poses(self, length: float) -> Array:
         """(T, 3) planar poses of the middle of a vehicle of this length."""
@@ -405,30 +379,19 @@ def _in_next_lane(path: RoutePath, ego: EgoDrive, manner: Manner) -> Array | Non
 
 @dataclass(frozen=True)
 class PlacedVehicle:
-    """A vehicle with its poses.
+    """A vehicle with its poses."""
 
-    Attributes:
-        model: its shape.
-        poses: (T, 3) planar poses of its middle.
-    """
-
-    model: VehicleModel
-    poses: Array
+    model: VehicleModel  # its shape
+    poses: Array  # (T, 3) planar poses of its middle
 
 
 @dataclass(frozen=True)
 class TrafficScene:
-    """What a new vehicle has to get on with.
+    """What a new vehicle has to get on with."""
 
-    Attributes:
-        street: lanes and parking.
-        ego: the ego's drive.
-        target: the vehicle not to hide.
-    """
-
-    street: Street
-    ego: EgoDrive
-    target: PlacedVehicle
+    street: Street  # lanes and parking
+    ego: EgoDrive  # the ego's drive
+    target: PlacedVehicle  # the vehicle not to hide
 
     def fits(self, new: PlacedVehicle, others: Sequence[PlacedVehicle], margin: float) -> bool:
         """Whether `new` touches nobody and hides nothing of the target."""

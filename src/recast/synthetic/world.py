@@ -24,62 +24,40 @@ Times = NDArray[np.bool_]
 
 @dataclass(frozen=True)
 class Sky:
-    """Daylight.
+    """Daylight."""
 
-    Attributes:
-        sun_direction: (3,) unit vector towards the sun, world frame.
-        sun: (3,) linear RGB irradiance on a surface that faces the sun.
-        zenith, horizon: (3,) linear RGB radiance of the sky overhead and at the horizon.
-        sun_radius: radius, in radians, of the disc that casts soft shadows.
-        clouds: cloud cover in [0, 1].
-        seed: seed of the cloud pattern.
-    """
-
-    sun_direction: Array
-    sun: Array
+    sun_direction: Array  # (3,) unit vector towards the sun, world frame
+    sun: Array  # (3,) linear RGB irradiance on a surface that faces the sun
+    # zenith, horizon: (3,) linear RGB radiance of the sky overhead and at the horizon.
     zenith: Array
     horizon: Array
-    sun_radius: float = 0.01
-    clouds: float = 0.3
-    seed: int = 0
+    sun_radius: float = 0.01  # radius, in radians, of the disc that casts soft shadows
+    clouds: float = 0.3  # cloud cover in [0, 1]
+    seed: int = 0  # seed of the cloud pattern
 
 
 @dataclass(frozen=True)
 class ParkingSpot:
-    """Where a car may stand.
+    """Where a car may stand."""
 
-    Attributes:
-        x, y, heading: place and heading of the box centre, world frame, metres and radians.
-        length: metres that a vehicle there may have.
-    """
-
+    # x, y, heading: place and heading of the box centre, world frame, metres and radians.
     x: float
     y: float
     heading: float
-    length: float = 5.2
+    length: float = 5.2  # metres that a vehicle there may have
 
 
 @dataclass(frozen=True)
 class Street:
-    """Everything that never moves.
+    """Everything that never moves."""
 
-    Attributes:
-        kind: name of the scene, such as "urban-straight".
-        surface: triangles in the world frame, ground at z = 0 on the road.
-        map: lanes, drivable area, ground.
-        ego_route: lane ids in the order of driving.
-        ego_speed: m/s that the ego keeps on a free road.
-        parking: spots for parked cars.
-        sky: daylight.
-    """
-
-    kind: str
-    surface: Surface
-    map: HdMap
-    ego_route: tuple[str, ...]
-    ego_speed: float
-    parking: tuple[ParkingSpot, ...]
-    sky: Sky
+    kind: str  # name of the scene, such as "urban-straight"
+    surface: Surface  # triangles in the world frame, ground at z = 0 on the road
+    map: HdMap  # lanes, drivable area, ground
+    ego_route: tuple[str, ...]  # lane ids in the order of driving
+    ego_speed: float  # m/s that the ego keeps on a free road
+    parking: tuple[ParkingSpot, ...]  # spots for parked cars
+    sky: Sky  # daylight
 
 
 class Articulation(Protocol):
@@ -91,42 +69,29 @@ class Articulation(Protocol):
 
 @dataclass(frozen=True)
 class VehicleModel:
-    """One vehicle or person as a shape.
+    """One vehicle or person as a shape."""
 
-    Attributes:
-        kind: "hatchback", "sedan", "estate", "suv", "pickup", "van", "box-truck" or "bus";
-            "pedestrian" or "cyclist".
-        category: category of the label, see `recast.logs.Track`.
-        colour: name, such as "white".
-        size: (3,) length, width, height of the box around it, metres; mirrors not counted.
-        surface: triangles in the actor-local frame: origin at the box centre, x forward, y left,
-            z up, the tyres or feet standing on z = -height / 2.
-        articulation: how the surface changes with the way; None for a rigid vehicle.
-    """
-
+    # "hatchback", "sedan", "estate", "suv", "pickup", "van", "box-truck" or "bus"; "pedestrian" or
+    # "cyclist".
     kind: str
-    category: str
-    colour: str
-    size: Array
+    category: str  # category of the label, see `recast.logs.Track`
+    colour: str  # name, such as "white"
+    size: Array  # (3,) length, width, height of the box around it, metres; mirrors not counted
+    # triangles in the actor-local frame: origin at the box centre, x forward, y left, z up, the
+    # tyres or feet standing on z = -height / 2.
     surface: Surface
+    # how the surface changes with the way; None for a rigid vehicle.
     articulation: Articulation | None = None
 
 
 @dataclass(frozen=True)
 class Vehicle:
-    """One vehicle or person in the world.
+    """One vehicle or person in the world."""
 
-    Attributes:
-        track_id: track id, unique in the world.
-        model: its shape.
-        trajectory: `world_from_actor` at the times of the log.
-        parked: never moves in the log.
-    """
-
-    track_id: str
-    model: VehicleModel
-    trajectory: Trajectory
-    parked: bool
+    track_id: str  # track id, unique in the world
+    model: VehicleModel  # its shape
+    trajectory: Trajectory  # `world_from_actor` at the times of the log
+    parked: bool  # never moves in the log
 
     def surface_at(self, pose: Array) -> Surface:
         """Triangles in the actor-local frame when it is at `pose` (4, 4) `world_from_actor`.

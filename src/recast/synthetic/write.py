@@ -55,23 +55,14 @@ _LEAST_SIZE = 0.5
 
 @dataclass(frozen=True)
 class Measurement:
-    """One image or sweep to be made.
+    """One image or sweep to be made."""
 
-    Attributes:
-        sensor: a camera's name, or `LIDAR`.
-        frame: index of the moment in the log.
-        timestamp_us: time of that moment in microseconds.
-        rig: the sensors.
-        spool: folder for images and sweeps, with a folder for each sensor.
-        truth: folder for depth and instances, or None.
-    """
-
-    sensor: str
-    frame: int
-    timestamp_us: int
-    rig: Rig
-    spool: Path
-    truth: Path | None = None
+    sensor: str  # a camera's name, or `LIDAR`
+    frame: int  # index of the moment in the log
+    timestamp_us: int  # time of that moment in microseconds
+    rig: Rig  # the sensors
+    spool: Path  # folder for images and sweeps, with a folder for each sensor
+    truth: Path | None = None  # folder for depth and instances, or None
 
 
 def measure(oracle: Oracle, job: Measurement) -> tuple[int, ...]:
@@ -138,11 +129,7 @@ class SpooledSweeps:
 
 
 def check_label_noise(metres: float) -> None:
-    """Refuse impossible noise.
-
-    Raises:
-        InputError: negative, or not a number.
-    """
+    """Refuse impossible noise. Raises InputError: negative, or not a number."""
     if not 0 <= metres < np.inf:
         raise InputError("label noise", f"{metres:g} m", "is impossible", "choose 0 or more metres")
 

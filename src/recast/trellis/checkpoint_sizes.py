@@ -38,16 +38,12 @@ class ModelSize:
 
 @dataclass(frozen=True)
 class CheckpointSizes:
-    """All models of a checkpoint.
+    """All models of a checkpoint."""
 
-    Attributes:
-        models: sizes by role; the image encoder among them, where it is not the published backbone.
-        backbone: the published image encoder, kept apart from the folder.
-        mean, std: mean and standard deviation of the structured latent, one value a channel.
-    """
-
+    # sizes by role; the image encoder among them, where it is not the published backbone.
     models: Mapping[str, ModelSize]
-    backbone: ModelSize | None
+    backbone: ModelSize | None  # the published image encoder, kept apart from the folder
+    # mean, std: mean and standard deviation of the structured latent, one value a channel.
     mean: tuple[float, ...]
     std: tuple[float, ...]
 

@@ -57,11 +57,8 @@ def check_agreement(
     models: Mapping[str, TrellisModel],
     encoder: ImageEncoder | None,
 ) -> None:
-    """Check that models, which may be on the meta device, can work together.
-
-    Raises:
-        InputError: a model is not of its role's class, or channels or resolutions differ.
-    """
+    """Check that models, which may be on the meta device, can work together. Raises InputError: a
+    model is not of its role's class, or channels or resolutions differ."""
     where = folder / PIPELINE_FILE
     for role, model in models.items():
         expected = ROLE_CLASSES.get(role, model.published_name)
@@ -163,27 +160,18 @@ def load_image_encoder(
 
 @dataclass(frozen=True)
 class Checkpoint:
-    """The models of a folder, ready to run.
+    """The models of a folder, ready to run."""
 
-    Attributes:
-        folder: folder that they were read from; None for new ones.
-        record: its `pipeline.json`.
-        models: models by role; an image encoder of the folder's own is among them.
-        image_encoder: what turns crops into condition tokens, where it was asked for.
-    """
-
-    folder: Path | None
-    record: PipelineRecord
+    folder: Path | None  # folder that they were read from; None for new ones
+    record: PipelineRecord  # its `pipeline.json`
+    # models by role; an image encoder of the folder's own is among them.
     models: dict[str, TrellisModel]
+    # what turns crops into condition tokens, where it was asked for.
     image_encoder: ImageEncoder | None
 
     @property
     def encoder(self) -> ImageEncoder:
-        """The image encoder.
-
-        Raises:
-            InputError: it was not loaded.
-        """
+        """The image encoder. Raises InputError: it was not loaded."""
         if self.image_encoder is None:
             raise InputError(
                 self.folder or "checkpoint",

@@ -55,10 +55,7 @@ _IN_QKV = re.compile(r"attention\.(?:attention\.)?(query|key|value|q_proj|k_proj
 
 def hub_name(name: str) -> tuple[str, int | None]:
     """Name of a tensor of transformers in torch hub; 0, 1, 2 if it is the q, k or v part of it.
-
-    Raises:
-        KeyError: no tensor of this model.
-    """
+    Raises KeyError: no tensor of this model."""
     found = _IN_LAYER.fullmatch(name)
     if found is None:
         return _TOP[name], None
@@ -71,12 +68,8 @@ def hub_name(name: str) -> tuple[str, int | None]:
 
 
 def to_hub(state: Mapping[str, Tensor]) -> dict[str, Tensor]:
-    """Tensors under names of transformers to torch-hub names.
-
-    Raises:
-        KeyError: with the name that is no tensor of this model, or whose query, key or value
-            companion is missing.
-    """
+    """Tensors under names of transformers to torch-hub names. Raises KeyError: with the name that
+    is no tensor of this model, or whose query, key or value companion is missing."""
     hub: dict[str, Tensor] = {}
     parts: dict[str, dict[int, Tensor]] = {}
     for name, tensor in state.items():
@@ -93,11 +86,8 @@ def to_hub(state: Mapping[str, Tensor]) -> dict[str, Tensor]:
 
 
 def from_hub(state: Mapping[str, Tensor], names: Iterable[str]) -> dict[str, Tensor]:
-    """Torch-hub tensors under the given names of transformers, as views.
-
-    Raises:
-        KeyError: a torch-hub name that one of `names` needs is missing.
-    """
+    """Torch-hub tensors under the given names of transformers, as views. Raises KeyError: a
+    torch-hub name that one of `names` needs is missing."""
     found = {}
     for name in names:
         target, part = hub_name(name)
@@ -238,11 +228,8 @@ class Dinov2Encoder(TrellisModel):
         return to_hub(self.backbone.state_dict())
 
     def load_published(self, state: dict[str, Tensor]) -> None:
-        """Copy weights in from torch hub's names.
-
-        Raises:
-            RuntimeError: a name is missing or unknown, or a shape differs, see `state_faults`.
-        """
+        """Copy weights in from torch hub's names. Raises RuntimeError: a name is missing or
+        unknown, or a shape differs, see `state_faults`."""
         own = self.backbone.state_dict()
         wanted = to_hub({name: tensor.to("meta") for name, tensor in own.items()})
         # Who reads the tensors looks for NaN, and can name the file.
@@ -299,10 +286,8 @@ def load_dinov2(path: str | Path, config: Dinov2Config | None = None) -> Dinov2E
 
 def config_from_shapes(state: Mapping[str, Tensor], where: str | Path) -> Dinov2Config:
     """Arguments of a torch-hub state, with heads of 64 channels as all published models have.
-
-    Raises:
-        InputError: a tensor that tells is missing or of another rank, or the sizes make no model.
-    """
+    Raises InputError: a tensor that tells is missing or of another rank, or the sizes make no
+    model."""
 
     def shape(name: str, rank: int) -> torch.Size:
         if name not in state:

@@ -94,18 +94,13 @@ class Generation:
 
 @dataclass(frozen=True)
 class Structure:
-    """A structure that passed the limits.
+    """A structure that passed the limits."""
 
-    Attributes:
-        generator: random stream that it came from, on the CPU so that every device makes the same
-            vehicle; it continues with the latent's noise.
-        latent: (C, R, R, R) latent as sampled.
-        coords: (T, 3) int32 active voxels.
-    """
-
+    # random stream that it came from, on the CPU so that every device makes the same vehicle; it
+    # continues with the latent's noise.
     generator: torch.Generator
-    latent: Tensor
-    coords: Tensor
+    latent: Tensor  # (C, R, R, R) latent as sampled
+    coords: Tensor  # (T, 3) int32 active voxels
 
     @property
     def seed(self) -> int:

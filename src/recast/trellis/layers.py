@@ -528,25 +528,17 @@ class TrellisModel(nn.Module):
         return dict(self.state_dict())
 
     def load_published(self, state: dict[str, Tensor]) -> None:
-        """Copy weights in, converting each to the dtype that this model holds.
-
-        Raises:
-            RuntimeError: a name is missing or unknown, or a shape differs.
-        """
+        """Copy weights in, converting each to the dtype that this model holds. Raises RuntimeError:
+        a name is missing or unknown, or a shape differs."""
         self.load_state_dict(state, strict=True)
 
 
 @dataclass(frozen=True)
 class Posterior:
-    """Independent normal distributions, one for each latent value.
+    """Independent normal distributions, one for each latent value."""
 
-    Attributes:
-        mean: mean, (B, C, R, R, R) for the sparse structure; what latent caches hold.
-        logvar: same shape, natural logarithm of the variance.
-    """
-
-    mean: Tensor
-    logvar: Tensor
+    mean: Tensor  # mean, (B, C, R, R, R) for the sparse structure; what latent caches hold
+    logvar: Tensor  # same shape, natural logarithm of the variance
 
     def sample(self, generator: torch.Generator) -> Tensor:
         """Draw latents; gradients flow into mean and logvar.

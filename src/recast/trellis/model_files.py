@@ -142,11 +142,8 @@ class PipelineRecord(_Member):
         std: Sequence[float],
         image_cond_model: str = PUBLISHED_BACKBONE,
     ) -> PipelineRecord:
-        """A record from its parts; mean and std are the latent's, one value a channel.
-
-        Raises:
-            pydantic.ValidationError: a value is out of range.
-        """
+        """A record from its parts; mean and std are the latent's, one value a channel. Raises
+        pydantic.ValidationError: a value is out of range."""
         return cls(
             args=PipelineArgs(
                 models=dict(models),
@@ -185,12 +182,8 @@ class PipelineRecord(_Member):
 
 
 def read_pipeline(folder: Path) -> PipelineRecord:
-    """Read `pipeline.json` of a checkpoint folder.
-
-    Raises:
-        InputError: it is missing or no JSON, a member is missing, out of range or of a wrong type,
-            or a model's path leaves the folder.
-    """
+    """Read `pipeline.json` of a checkpoint folder. Raises InputError: it is missing or no JSON, a
+    member is missing, out of range or of a wrong type, or a model's path leaves the folder."""
     path = folder / PIPELINE_FILE
     if not path.is_file():
         raise InputError(
@@ -287,29 +280,19 @@ def file_bytes(tensors: Mapping[str, Tensor]) -> int:
 
 @dataclass(frozen=True)
 class ModelCheck:
-    """What was found of one model, and what its class expects.
+    """What was found of one model, and what its class expects."""
 
-    Attributes:
-        role: role of the model in `pipeline.json`.
-        file: the weights, or what names them.
-        class_name: published name of the class; empty where it could not be told.
-        found: tensors of the file, on the meta device unless their values are checked too.
-        expected: tensors of the class.
-        bytes_found: size of the file.
-        parameters: trainable numbers of the class, saved buffers left out.
-        error: the file cannot be read, or its class cannot be built; nothing else is known then.
-        note: why nothing was checked, of a model that may be absent.
-    """
-
-    role: str
-    file: Path
-    class_name: str = ""
+    role: str  # role of the model in `pipeline.json`
+    file: Path  # the weights, or what names them
+    class_name: str = ""  # published name of the class; empty where it could not be told
+    # tensors of the file, on the meta device unless their values are checked too.
     found: Mapping[str, Tensor] | None = None
-    expected: Mapping[str, Tensor] | None = None
-    bytes_found: int = 0
-    parameters: int = 0
+    expected: Mapping[str, Tensor] | None = None  # tensors of the class
+    bytes_found: int = 0  # size of the file
+    parameters: int = 0  # trainable numbers of the class, saved buffers left out
+    # the file cannot be read, or its class cannot be built; nothing else is known then.
     error: InputError | None = None
-    note: str = ""
+    note: str = ""  # why nothing was checked, of a model that may be absent
 
     @property
     def bytes_expected(self) -> int:
@@ -344,24 +327,15 @@ class ModelRecord(BaseModel):
 
 @dataclass(frozen=True)
 class ModelFiles:
-    """Where a model of a checkpoint folder lies.
+    """Where a model of a checkpoint folder lies."""
 
-    Attributes:
-        role: role of the model in `pipeline.json`.
-        config: the JSON file.
-        weights: the safetensors file.
-    """
-
-    role: str
-    config: Path
-    weights: Path
+    role: str  # role of the model in `pipeline.json`
+    config: Path  # the JSON file
+    weights: Path  # the safetensors file
 
     def meta_model(self) -> TrellisModel:
-        """The model on the meta device: names, shapes and types, no memory.
-
-        Raises:
-            InputError: the JSON file is missing or wrong, its class or an argument is unknown.
-        """
+        """The model on the meta device: names, shapes and types, no memory. Raises InputError: the
+        JSON file is missing or wrong, its class or an argument is unknown."""
         try:
             record = ModelRecord.model_validate(read_json(self.config))
         except ValidationError as error:
@@ -370,11 +344,8 @@ class ModelFiles:
             return build(record.name, record.args, self.config)
 
     def checked_model(self) -> TrellisModel:
-        """The model on the meta device, which the weights fit by their header.
-
-        Raises:
-            InputError: see `meta_model` and `ModelCheck.fault`.
-        """
+        """The model on the meta device, which the weights fit by their header. Raises InputError:
+        see `meta_model` and `ModelCheck.fault`."""
         model = self.meta_model()
         fault = self.check(model).fault(loading=True)
         if fault is not None:
@@ -382,11 +353,7 @@ class ModelFiles:
         return model
 
     def check(self, model: TrellisModel) -> ModelCheck:
-        """Compare the header of the weights with a model.
-
-        Raises:
-            InputError: see `read_header`.
-        """
+        """Compare the header of the weights with a model. Raises InputError: see `read_header`."""
         return ModelCheck(
             self.role,
             self.weights,
@@ -399,11 +366,8 @@ class ModelFiles:
 
 
 def model_files(folder: Path, record: PipelineRecord, role: str) -> ModelFiles:
-    """The files of a role; both exist.
-
-    Raises:
-        InputError: `pipeline.json` does not name the role, or names files that are not there.
-    """
+    """The files of a role; both exist. Raises InputError: `pipeline.json` does not name the role,
+    or names files that are not there."""
     stem = record.models.get(role)
     if stem is None:
         raise InputError(

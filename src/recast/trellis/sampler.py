@@ -39,16 +39,14 @@ Time = Annotated[float, Field(ge=0, le=1, strict=True)]
 class Condition:
     """Image tokens of the samples of a batch.
 
-    Attributes:
-        views: (V, B, L, C) tokens of V views of every sample; B = 1 serves any number of samples.
-        mode: use of several views: "stochastic" uses one view in each step, in turn from the first,
-            the same for all samples; "multidiffusion" the mean of the velocities of all views.
-
     Raises:
         ValueError: not four axes, no view, or another mode.
     """
 
+    # (V, B, L, C) tokens of V views of every sample; B = 1 serves any number of samples.
     views: Tensor
+    # use of several views: "stochastic" uses one view in each step, in turn from the first, the
+    # same for all samples; "multidiffusion" the mean of the velocities of all views.
     mode: MultiImageMode = "stochastic"
 
     def __post_init__(self) -> None:
@@ -58,11 +56,8 @@ class Condition:
             raise ValueError(f"condition: mode {self.mode!r} is not stochastic or multidiffusion")
 
     def for_samples(self, samples: int) -> Tensor:
-        """The views (V, samples, L, C); tokens that serve all samples are not copied.
-
-        Raises:
-            ValueError: the tokens are of another number of samples.
-        """
+        """The views (V, samples, L, C); tokens that serve all samples are not copied. Raises
+        ValueError: the tokens are of another number of samples."""
         count = self.views.shape[1]
         if count not in (1, samples):
             raise ValueError(f"condition: tokens of {count} samples, expected {samples}")
@@ -151,11 +146,8 @@ class SamplerSettings(Record):
         return value
 
     def merged(self, **overrides: Any) -> Self:
-        """These settings with some replaced; an override of None leaves the value as it is.
-
-        Raises:
-            InputError: an unknown name, or a value out of its range.
-        """
+        """These settings with some replaced; an override of None leaves the value as it is. Raises
+        InputError: an unknown name, or a value out of its range."""
         given = {name: value for name, value in overrides.items() if value is not None}
         return self._checked({**self.model_dump(), **given}, "sampler settings")
 
@@ -212,24 +204,17 @@ def time_steps(settings: SamplerSettings) -> NDArray[np.float64]:
 
 @dataclass(frozen=True)
 class StepRecord:
-    """One step that was taken, from `t` to `t_next`.
+    """One step that was taken, from `t` to `t_next`."""
 
-    Attributes:
-        step: its number, from 0.
-        t, t_next: times, 1 is noise.
-        guided: whether guidance acted.
-        views: indices of the views used.
-        before, after: x at `t` and at `t_next`, of the shape of the noise.
-        velocity: velocity of the step, guidance included.
-    """
-
-    step: int
+    step: int  # its number, from 0
+    # t, t_next: times, 1 is noise.
     t: float
     t_next: float
-    guided: bool
-    views: tuple[int, ...]
+    guided: bool  # whether guidance acted
+    views: tuple[int, ...]  # indices of the views used
+    # before, after: x at `t` and at `t_next`, of the shape of the noise.
     before: Tensor
-    velocity: Tensor
+    velocity: Tensor  # velocity of the step, guidance included
     after: Tensor
 
 
@@ -304,17 +289,12 @@ def _check(v: Tensor, x: Tensor, step: int, steps: int, t: float) -> None:
 
 @dataclass(frozen=True)
 class FlowLoss:
-    """Loss of one batch.
+    """Loss of one batch."""
 
-    Attributes:
-        loss: scalar, with the graph; mean squared error over all elements.
-        per_sample: (B,) mean squared error of each sample, without graph; NaN for one without rows.
-        t: (B,) times of the samples.
-    """
-
-    loss: Tensor
+    loss: Tensor  # scalar, with the graph; mean squared error over all elements
+    # (B,) mean squared error of each sample, without graph; NaN for one without rows.
     per_sample: Tensor
-    t: Tensor
+    t: Tensor  # (B,) times of the samples
 
     @property
     def bins(self) -> Tensor:
@@ -328,12 +308,9 @@ class FlowMatching:
 
     Dense data is (B, ...). Sparse data is (T, C), its rows those of all samples one after another;
     `batch` (T,) int64 then says which sample a row belongs to, so that t is always per sample.
-
-    Attributes:
-        sigma_min: noise left at t = 0.
     """
 
-    sigma_min: float = 1e-5
+    sigma_min: float = 1e-5  # noise left at t = 0
 
     def interpolate(
         self, x0: Tensor, noise: Tensor, t: Tensor, batch: Tensor | None = None

@@ -45,11 +45,8 @@ class SparseTensor:
 
     @staticmethod
     def stack(coords: Sequence[Tensor], feats: Sequence[Tensor]) -> SparseTensor:
-        """One tensor of samples given as coordinates (T_i,3) and features (T_i,C).
-
-        Raises:
-            InputError: no sample, or coordinates and features that do not fit each other.
-        """
+        """One tensor of samples given as coordinates (T_i,3) and features (T_i,C). Raises
+        InputError: no sample, or coordinates and features that do not fit each other."""
         if not coords or len(coords) != len(feats):
             found = f"{len(coords)} coordinate sets, {len(feats)} feature sets"
             raise InputError(_WHERE, "samples", found, "give one of each for every sample")
@@ -92,11 +89,8 @@ class SparseTensor:
         return SparseTensor(self.coords.to(device), self.feats.to(device), self.batch_size)
 
     def validate(self) -> None:
-        """Check shapes, the order of the rows and that no voxel stands twice in a sample.
-
-        Raises:
-            InputError: naming what is wrong.
-        """
+        """Check shapes, the order of the rows and that no voxel stands twice in a sample. Raises
+        InputError: naming what is wrong."""
         coords = self.coords
         if coords.ndim != 2 or coords.shape[1] != 4 or coords.dtype != torch.int32:
             found = f"shape {tuple(coords.shape)}, {coords.dtype}"
@@ -136,11 +130,8 @@ def voxel_keys(coords: Tensor, margin: int) -> tuple[Tensor, tuple[int, int, int
 
 
 def sorted_keys(keys: Tensor) -> tuple[Tensor, Tensor]:
-    """Keys (T,) in ascending order and the rows (T,) they come from.
-
-    Raises:
-        InputError: a sample holds a voxel twice.
-    """
+    """Keys (T,) in ascending order and the rows (T,) they come from. Raises InputError: a sample
+    holds a voxel twice."""
     ordered, rows = keys.sort()
     if bool((ordered[1:] == ordered[:-1]).any()):
         found = "a sample holds a voxel twice"

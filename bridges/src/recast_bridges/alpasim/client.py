@@ -179,11 +179,7 @@ class SensorsimClient(ServiceClient):
         return tuple(self.call("get_available_scenes", message("Empty")).scene_ids)
 
     def require_scene(self, scene_id: str) -> None:
-        """Check that the server has a scene.
-
-        Raises:
-            InputError: it has not.
-        """
+        """Check that the server has a scene. Raises InputError: it has not."""
         known = self.scenes()
         if scene_id not in known and _ANY_SCENE not in known:
             mend = f"choose one of {', '.join(known) or 'none'}"
@@ -229,11 +225,8 @@ class SensorsimRenderer(MountedRenderer, Closing):
         self._local_from_world = se3.inverse(world)
 
     def render(self, state: SimState, camera_names: Sequence[str]) -> dict[str, Image]:
-        """Images of the named cameras at `state`.
-
-        Raises:
-            InputError: the call failed, or the reply lacks an image or holds a damaged one.
-        """
+        """Images of the named cameras at `state`. Raises InputError: the call failed, or the reply
+        lacks an image or holds a damaged one."""
         names = list(dict.fromkeys(camera_names))
         items = [
             message("BatchItem", camera_name=name, request=self._request(state, name))

@@ -31,15 +31,10 @@ _FASTEST = 100.0
 
 @dataclass(frozen=True)
 class DrivenPlan:
-    """A driver's trajectory.
+    """A driver's trajectory."""
 
-    Attributes:
-        timestamps_us: (N,) rising; N is at least 2.
-        poses: (N, 3) x, y, heading of the rear axle, world.
-    """
-
-    timestamps_us: Int64Array
-    poses: Array
+    timestamps_us: Int64Array  # (N,) rising; N is at least 2
+    poses: Array  # (N, 3) x, y, heading of the rear axle, world
 
     @classmethod
     def read(cls, trajectory: Any, now_us: int, ego_pose: ArrayLike) -> Self:
@@ -122,18 +117,12 @@ _SEE_LOG = "see the driver's log"
 
 @dataclass
 class _Drive:
-    """One rollout; a late answer of the one before it cannot come into it.
-
-    Attributes:
-        plan: the last one that was not empty.
-        began_us: time of the first plan.
-        log_drove: seconds for which the log drove in place of the driver.
-    """
+    """One rollout; a late answer of the one before it cannot come into it."""
 
     session: DriverSession
-    plan: DrivenPlan | None = None
-    began_us: int | None = None
-    log_drove: float = 0.0
+    plan: DrivenPlan | None = None  # the last one that was not empty
+    began_us: int | None = None  # time of the first plan
+    log_drove: float = 0.0  # seconds for which the log drove in place of the driver
 
 
 class AlpaSimDriver(Closing, BasePlanner):
@@ -194,19 +183,11 @@ class AlpaSimDriver(Closing, BasePlanner):
     @property
     def record_fields(self) -> dict[str, str | float]:
         """What records say of the driver: its version, and how long the log drove in its place in
-        the last rollout.
-
-        Raises:
-            InputError: the driver was never reached, and is not there.
-        """
+        the last rollout. Raises InputError: the driver was never reached, and is not there."""
         return {"driver": self.version, "log_drove_s": self._log_drove}
 
     def reset(self, context: PlanningContext) -> None:
-        """Begin a session.
-
-        Raises:
-            InputError: a camera is not there; see also `DriverSession`.
-        """
+        """Begin a session. Raises InputError: a camera is not there; see also `DriverSession`."""
         self.close()
         cameras = self._cameras or {}
         if self._cameras is None:
@@ -254,11 +235,7 @@ class AlpaSimDriver(Closing, BasePlanner):
         return Plan(drive.plan.waypoints(now, pose, times))
 
     def finish_rollout(self) -> None:
-        """Close the session.
-
-        Raises:
-            InputError: the driver gave no plan in the whole rollout.
-        """
+        """Close the session. Raises InputError: the driver gave no plan in the whole rollout."""
         drive, self._drive = self._drive, None
         if drive is None:
             return
@@ -314,8 +291,5 @@ def driver_planner(words: str) -> AlpaSimDriver:
 
 def driver_source(words: str) -> str:
     """What stands for a driver in keys of artefacts: its address and the version it answers with.
-
-    Raises:
-        InputError: see `driver_planner`; or no driver answers.
-    """
+    Raises InputError: see `driver_planner`; or no driver answers."""
     return f"{ALPASIM_PREFIX}{words} {driver_planner(words).version}"

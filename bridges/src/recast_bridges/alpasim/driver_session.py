@@ -211,11 +211,8 @@ class DriverSession(Closing):
         return round(self.context.dt * 1e6)
 
     def tell(self, observation: PlannerInput) -> None:
-        """Submit the images, all egomotion since the last time, and the route.
-
-        Raises:
-            InputError: a call failed, or an image is too large for a message.
-        """
+        """Submit the images, all egomotion since the last time, and the route. Raises InputError: a
+        call failed, or an image is too large for a message."""
         uuid, now = self._uuid, observation.timestamp_us
         for name, camera in self._cameras.items():
             try:

@@ -38,12 +38,8 @@ def pose_message(pose: Array) -> Any:
 
 
 def read_pose(pose: Any, where: str) -> Array:
-    """`target_from_source` (4, 4) of a message Pose.
-
-    Raises:
-        ValueError: it lacks a part, is not finite, is out of this world, or its quaternion is not
-            of length 1.
-    """
+    """`target_from_source` (4, 4) of a message Pose. Raises ValueError: it lacks a part, is not
+    finite, is out of this world, or its quaternion is not of length 1."""
     for part in ("vec", "quat"):
         if not pose.HasField(part):
             raise ValueError(f"{where}.{part}: is missing")
@@ -64,10 +60,7 @@ def pose_pair(pose: Array) -> Any:
 
 def read_middle(pair: Any, where: str) -> Array:
     """The pose (4, 4) halfway between the two of a message PosePair; equal ones stay as they are.
-
-    Raises:
-        ValueError: one is missing, or see `read_pose`.
-    """
+    Raises ValueError: one is missing, or see `read_pose`."""
     for part in ("start_pose", "end_pose"):
         if not pair.HasField(part):
             raise ValueError(f"{where}.{part}: is missing")
@@ -206,26 +199,18 @@ _SHORTEST = 1e-3
 
 @dataclass(frozen=True, kw_only=True)
 class SensorsimRequest(RenderRequest):
-    """One image that is asked for, and how it is to be encoded.
+    """One image that is asked for, and how it is to be encoded."""
 
-    Attributes:
-        image_format: `PNG`, `JPEG` or `PLANAR`.
-        quality: JPEG quality, 1 to 100.
-    """
-
-    image_format: int
-    quality: int
+    image_format: int  # `PNG`, `JPEG` or `PLANAR`
+    quality: int  # JPEG quality, 1 to 100
 
 
 def read_requests(
     requests: Sequence[Any], ftheta_centre: float = FTHETA_CENTRE
 ) -> list[SensorsimRequest]:
-    """The images that messages RGBRenderRequest of one call ask for.
-
-    Raises:
-        RefusedError: INVALID_ARGUMENT for a bad value, named by its field; RESOURCE_EXHAUSTED for
-            more pixels than are drawn in one image or call.
-    """
+    """The images that messages RGBRenderRequest of one call ask for. Raises RefusedError:
+    INVALID_ARGUMENT for a bad value, named by its field; RESOURCE_EXHAUSTED for more pixels than
+    are drawn in one image or call."""
     pixels = [request.resolution_h * request.resolution_w for request in requests]
     if max(pixels, default=0) > MOST_PIXELS or sum(pixels) > MOST_IN_ALL:
         limits = f"the limit is {MOST_PIXELS} for an image and {MOST_IN_ALL} for a call"
@@ -286,11 +271,8 @@ def _read(request: Any, ftheta_centre: float) -> SensorsimRequest:
 
 
 def encode(image: Image, image_format: int, quality: int) -> bytes:
-    """An image (height, width, 3) uint8 RGB as the bytes of a reply.
-
-    Raises:
-        RefusedError: RESOURCE_EXHAUSTED if they are longer than a message.
-    """
+    """An image (height, width, 3) uint8 RGB as the bytes of a reply. Raises RefusedError:
+    RESOURCE_EXHAUSTED if they are longer than a message."""
     if image_format == PLANAR:
         data = np.moveaxis(image, -1, 0).tobytes()
     else:

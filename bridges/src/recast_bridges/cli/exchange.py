@@ -102,11 +102,8 @@ def export_scenarios(
     track: str | None,
     steps: int,
 ) -> tuple[list[Exported], ExportedRoads | None]:
-    """Write scenarios and rollouts of a log to a folder.
-
-    Raises:
-        InputError: neither is named; a scenario cannot run on the log; a rollout is not of it.
-    """
+    """Write scenarios and rollouts of a log to a folder. Raises InputError: neither is named; a
+    scenario cannot run on the log; a rollout is not of it."""
     from recast.cli.rows.scenarios import target_of
     from recast.logs import map_of, read_log
     from recast.simulation import RolloutSetup, load_rollout, parse_motions, scenario_name

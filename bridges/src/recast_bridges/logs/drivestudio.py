@@ -246,11 +246,8 @@ def read_lidars(folder: Path, frame_times: dict[int, int]) -> dict[str, LidarStr
 
 
 def read_rows(path: Path) -> NDArray[np.float32]:
-    """Rows (N, 14) of a file that have a return.
-
-    Raises:
-        InputError: cut off, of another layout, not finite, or of an unknown scanner.
-    """
+    """Rows (N, 14) of a file that have a return. Raises InputError: cut off, of another layout, not
+    finite, or of an unknown scanner."""
     rows = read_points(path, FLOATS, _POINT, [0, 1, 2, _INTENSITY, _LASER], _MEND)
     rows = rows[are_returns(rows[:, _POINT], rows[:, _ORIGIN])]
     known = np.isin(rows[:, _LASER], range(len(LASERS)))
@@ -263,17 +260,11 @@ def read_rows(path: Path) -> NDArray[np.float32]:
 
 @dataclass(frozen=True)
 class DriveStudioSweeps(Timed):
-    """Sweeps of one scanner, read on demand; a `SweepSource`. The ego motion is undone in them.
+    """Sweeps of one scanner, read on demand; a `SweepSource`. The ego motion is undone in them."""
 
-    Attributes:
-        timestamps_us: (S,) int64.
-        paths: S files.
-        laser: the scanner's number.
-    """
-
-    timestamps_us: Int64Array
-    paths: tuple[Path, ...]
-    laser: int
+    timestamps_us: Int64Array  # (S,) int64
+    paths: tuple[Path, ...]  # S files
+    laser: int  # the scanner's number
 
     def __getitem__(self, index: int) -> LidarSweep:
         """Read sweep `index`; raises as `read_rows` does."""

@@ -41,11 +41,8 @@ _TEXT_LIMIT = 1 << 16
 
 
 def find_scene(root: Path, drive: str, kind: str) -> Path:
-    """The folder of scene `drive`: in `root`, or `root` itself.
-
-    Raises:
-        InputError: the folder or the scene does not exist.
-    """
+    """The folder of scene `drive`: in `root`, or `root` itself. Raises InputError: the folder or
+    the scene does not exist."""
     if not root.is_dir():
         raise InputError(root, f"{kind} folder", "does not exist", "check the path")
     check_drive(root, drive)
@@ -57,11 +54,8 @@ def find_scene(root: Path, drive: str, kind: str) -> Path:
 
 
 def read_numbers(path: Path, count: int) -> Array:
-    """`count` finite numbers of a text file.
-
-    Raises:
-        InputError: the file is missing, or holds anything else.
-    """
+    """`count` finite numbers of a text file. Raises InputError: the file is missing, or holds
+    anything else."""
     if not path.is_file():
         raise InputError(path, "file", "is missing", _MEND)
     words = words_of(read_text(path, _TEXT_LIMIT))
@@ -76,20 +70,14 @@ def read_numbers(path: Path, count: int) -> Array:
 
 
 def read_pose(path: Path) -> Array:
-    """A rigid transform (4, 4) of a text file of 16 numbers, row by row.
-
-    Raises:
-        InputError: see `read_numbers`; the matrix is not rigid.
-    """
+    """A rigid transform (4, 4) of a text file of 16 numbers, row by row. Raises InputError: see
+    `read_numbers`; the matrix is not rigid."""
     return rigid(read_numbers(path, 16), path, "matrix")
 
 
 def rigid(values: Array, path: Path, field: str) -> Array:
-    """Sixteen numbers as a transform (4, 4), its rotation made exactly orthogonal.
-
-    Raises:
-        InputError: they are no rotation and translation.
-    """
+    """Sixteen numbers as a transform (4, 4), its rotation made exactly orthogonal. Raises
+    InputError: they are no rotation and translation."""
     matrix = np.asarray(values, np.float64).reshape(4, 4)
     # The comparisons are false for NaN; nothing that is not finite gets to the decomposition.
     if not np.all(np.abs(matrix[:3, :3]) <= 2.0) or not np.all(
@@ -103,11 +91,8 @@ def rigid(values: Array, path: Path, field: str) -> Array:
 
 
 def frame_numbers(folder: Path) -> dict[int, Path]:
-    """Poses of whole frames in `ego_pose`, by frame, in order.
-
-    Raises:
-        InputError: there are fewer than two.
-    """
+    """Poses of whole frames in `ego_pose`, by frame, in order. Raises InputError: there are fewer
+    than two."""
     paths = {int(path.stem): path for path in folder.glob("*.txt") if NUMBER.fullmatch(path.stem)}
     if len(paths) < 2:
         raise InputError(folder, "FRAME.txt", f"there are {len(paths)} files, 2 are needed", _MEND)
@@ -116,19 +101,13 @@ def frame_numbers(folder: Path) -> dict[int, Path]:
 
 @dataclass(frozen=True)
 class CameraFolder:
-    """One camera of a processed scene.
+    """One camera of a processed scene."""
 
-    Attributes:
-        number: number of the camera in file names.
-        images: image files by frame, in order.
-        camera: intrinsics with the lens distortion of Waymo's images, which are as recorded.
-        extrinsic: (4, 4) transform from the camera to the vehicle, as written in its file.
-    """
-
-    number: int
-    images: Mapping[int, Path]
+    number: int  # number of the camera in file names
+    images: Mapping[int, Path]  # image files by frame, in order
+    # intrinsics with the lens distortion of Waymo's images, which are as recorded.
     camera: PinholeCamera
-    extrinsic: Array
+    extrinsic: Array  # (4, 4) transform from the camera to the vehicle, as written in its file
 
     @property
     def name(self) -> str:
@@ -149,12 +128,8 @@ class CameraFolder:
 
 
 def read_cameras(scene: Path) -> list[CameraFolder]:
-    """All cameras that have images, with their calibration.
-
-    Raises:
-        InputError: an image's name or camera is unknown, a frame of a camera is there twice, or a
-            camera has no calibration.
-    """
+    """All cameras that have images, with their calibration. Raises InputError: an image's name or
+    camera is unknown, a frame of a camera is there twice, or a camera has no calibration."""
     listed: dict[int, dict[int, Path]] = {}
     for path in sorted((scene / "images").glob("*")):
         parts = _IMAGE.fullmatch(path.name)

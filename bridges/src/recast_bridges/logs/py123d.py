@@ -98,11 +98,8 @@ class Py123dImages(Timed):
     folder: Path
 
     def __getitem__(self, index: int) -> Image:
-        """Decode frame `index` to (height, width, 3) uint8 RGB.
-
-        Raises:
-            InputError: it is missing, or of another size than the calibration says.
-        """
+        """Decode frame `index` to (height, width, 3) uint8 RGB. Raises InputError: it is missing,
+        or of another size than the calibration says."""
         time = int(self.timestamps_us[index])
         where = f"camera {self.name} at {time} us"
         with reading(self.folder):
@@ -120,11 +117,8 @@ class Py123dImages(Timed):
 def read_cameras(
     scene: Any, folder: Path, rig_from_imu: Array, trajectory: Trajectory
 ) -> tuple[dict[str, CameraStream], list[str]]:
-    """Pinhole cameras by name, and the names of the others, which are left out.
-
-    Raises:
-        InputError: a camera has no intrinsics, or some that a pinhole camera has not.
-    """
+    """Pinhole cameras by name, and the names of the others, which are left out. Raises InputError:
+    a camera has no intrinsics, or some that a pinhole camera has not."""
     streams, left_out = {}, []
     for camera_id, known in scene.get_camera_metadatas().items():
         name = known.camera_name
@@ -178,11 +172,8 @@ class Py123dSweeps(Timed):
     folder: Path
 
     def __getitem__(self, index: int) -> LidarSweep:
-        """Decode sweep `index`; py123d's points are in the IMU frame at the sweep's time.
-
-        Raises:
-            InputError: it is missing, or points of several scanners cannot be told apart.
-        """
+        """Decode sweep `index`; py123d's points are in the IMU frame at the sweep's time. Raises
+        InputError: it is missing, or points of several scanners cannot be told apart."""
         time = int(self.timestamps_us[index])
         with reading(self.folder):
             return self._sweep(time, self.scene.get_lidar_at_timestamp(time, self.lidar_id))
@@ -233,11 +224,8 @@ def _within(times: list[Any], trajectory: Trajectory) -> Int64Array:
 def read_tracks(
     scene: Any, folder: Path, trajectory: Trajectory, offset: Array
 ) -> dict[str, Track]:
-    """Tracks by py123d's track token; the ego's own box is left out.
-
-    Raises:
-        InputError: a label is unknown, a box has no size or comes twice at a time.
-    """
+    """Tracks by py123d's track token; the ego's own box is left out. Raises InputError: a label is
+    unknown, a box has no size or comes twice at a time."""
     found: dict[str, list[tuple[int, Any]]] = {}
     for stamp in scene.get_all_box_detections_se3_timestamps():
         time = int(stamp.time_us)
@@ -384,11 +372,8 @@ def _rig_from_imu(ego: Any) -> Array:
 
 
 def find_log(root: Path, drive: str) -> Path:
-    """The folder of log `drive` below `root`/logs.
-
-    Raises:
-        InputError: the folder or the log does not exist, or several have the name.
-    """
+    """The folder of log `drive` below `root`/logs. Raises InputError: the folder or the log does
+    not exist, or several have the name."""
     logs = root / "logs"
     if not logs.is_dir():
         raise InputError(

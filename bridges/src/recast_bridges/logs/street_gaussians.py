@@ -69,29 +69,19 @@ _CONVERT = (
 
 @dataclass(frozen=True)
 class TrainedFrames:
-    """Times and poses of a scene.
+    """Times and poses of a scene."""
 
-    Attributes:
-        world_from_rig: ego trajectory through the poses of all images.
-        offset: (3,) global coordinates = world coordinates + offset.
-        frame_times: microseconds by frame: when its boxes and points hold.
-        world_from_frame: (4, 4) vehicle pose by frame; boxes and points are given in it.
-        image_times: microseconds by camera number, then by frame.
-    """
-
-    world_from_rig: Trajectory
-    offset: Array
-    frame_times: dict[int, int]
+    world_from_rig: Trajectory  # ego trajectory through the poses of all images
+    offset: Array  # (3,) global coordinates = world coordinates + offset
+    frame_times: dict[int, int]  # microseconds by frame: when its boxes and points hold
+    # (4, 4) vehicle pose by frame; boxes and points are given in it.
     world_from_frame: dict[int, Array]
-    image_times: dict[int, dict[int, int]]
+    image_times: dict[int, dict[int, int]]  # microseconds by camera number, then by frame
 
 
 def read_drive(scene: Path, cameras: Sequence[CameraFolder]) -> TrainedFrames:
-    """Read timestamps.json and ego_pose.
-
-    Raises:
-        InputError: a file or time is missing or wrong, or poses are not all of one frame.
-    """
+    """Read timestamps.json and ego_pose. Raises InputError: a file or time is missing or wrong, or
+    poses are not all of one frame."""
     if not cameras:
         raise InputError(scene / "images", "images", "there are none", _MEND_FRAMES)
     times = files.read_json(scene / TIMES)
@@ -166,10 +156,7 @@ def _delay(starts_us: Int64Array, world_from_frame: Array, images: Trajectory) -
 
 def read_lidar(path: Path, drive: TrainedFrames) -> dict[str, LidarStream]:
     """The sweeps of a file of one array (N, 3) for each frame; none where there is no such file.
-
-    Raises:
-        InputError: the file is broken or holds pickled objects, or a frame is unknown.
-    """
+    Raises InputError: the file is broken or holds pickled objects, or a frame is unknown."""
     if not path.is_file():
         return {}
     if not is_zipfile(path):
@@ -189,28 +176,19 @@ def read_lidar(path: Path, drive: TrainedFrames) -> dict[str, LidarStream]:
 
 @dataclass(frozen=True)
 class StreetGaussiansSweeps:
-    """Sweeps read from the file on demand; a `SweepSource`. They have no intensity: it is zero.
+    """Sweeps read from the file on demand; a `SweepSource`. They have no intensity: it is zero."""
 
-    Attributes:
-        path: .npz file.
-        names: S arrays in it, named by frame.
-        drive: times and poses.
-    """
-
-    path: Path
-    names: tuple[str, ...]
-    drive: TrainedFrames
+    path: Path  # .npz file
+    names: tuple[str, ...]  # S arrays in it, named by frame
+    drive: TrainedFrames  # times and poses
 
     def __len__(self) -> int:
         """Number of sweeps."""
         return len(self.names)
 
     def __getitem__(self, index: int) -> LidarSweep:
-        """Read sweep `index`.
-
-        Raises:
-            InputError: the file is broken, or the array is not (N, 3) numbers in range.
-        """
+        """Read sweep `index`. Raises InputError: the file is broken, or the array is not (N, 3)
+        numbers in range."""
         name = self.names[index]
         in_vehicle = _array(self.path, name)
         time = self.drive.frame_times[int(name)]
@@ -293,25 +271,15 @@ def _camera(scene: Path, camera: CameraFolder, drive: TrainedFrames) -> CameraSt
 
 @dataclass(frozen=True)
 class BoxRow:
-    """One line.
+    """One line."""
 
-    Attributes:
-        where: the line, for messages.
-        frame: number of the frame.
-        track: track number, as written.
-        kind: class in lower case, whatever it is.
-        size: (3,) length, width, height in metres, not checked.
-        centre: (3,) metres, vehicle frame at the frame's time.
-        heading: radians, counter-clockwise from the vehicle's x axis.
-    """
-
-    where: str
-    frame: int
-    track: str
-    kind: str
-    size: Array
-    centre: Array
-    heading: float
+    where: str  # the line, for messages
+    frame: int  # number of the frame
+    track: str  # track number, as written
+    kind: str  # class in lower case, whatever it is
+    size: Array  # (3,) length, width, height in metres, not checked
+    centre: Array  # (3,) metres, vehicle frame at the frame's time
+    heading: float  # radians, counter-clockwise from the vehicle's x axis
 
 
 def read_box_rows(path: Path, mend: str) -> Iterator[BoxRow]:
@@ -350,12 +318,9 @@ def _row(path: Path, where: str, words: list[str], mend: str) -> BoxRow:
 
 
 def read_tracks(path: Path, drive: TrainedFrames) -> dict[str, Track]:
-    """Tracks by the file's own numbers, each box placed with its frame's vehicle pose.
-
-    Raises:
-        InputError: the file is missing, a line has too few or wrong values, an unknown class or
-            frame, a box comes twice, or is not in the vehicle's frame.
-    """
+    """Tracks by the file's own numbers, each box placed with its frame's vehicle pose. Raises
+    InputError: the file is missing, a line has too few or wrong values, an unknown class or frame,
+    a box comes twice, or is not in the vehicle's frame."""
     grouped: dict[str, dict[int, BoxRow]] = {}
     for row in read_box_rows(path, _MEND):
         _check(path, row, drive)

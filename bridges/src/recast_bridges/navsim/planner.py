@@ -106,19 +106,12 @@ class NavsimPlanner(BasePlanner):
         return f"planner {self.name}"
 
     def choose_cameras(self, mounts: Mapping[str, CameraMount]) -> dict[str, str]:
-        """NAVSIM name to the rig's camera that stands for it.
-
-        Raises:
-            InputError: see `rig_cameras`.
-        """
+        """NAVSIM name to the rig's camera that stands for it. Raises InputError: see
+        `rig_cameras`."""
         return self._match(mounts)
 
     def reset(self, context: PlanningContext) -> None:
-        """Forget the past.
-
-        Raises:
-            InputError: a camera is not there; see also `InputBuilder`.
-        """
+        """Forget the past. Raises InputError: a camera is not there; see also `InputBuilder`."""
         cameras = self._match(context.cameras)
         require_cameras(cameras.values(), context.cameras, self._who)
         self._builder = InputBuilder(context, cameras, self._frames, self._classes, self._who)
@@ -170,10 +163,7 @@ def _agent_name(agent: Any) -> str:
 
 def _wanted_frames(config: Any, where: str) -> dict[str, tuple[int, ...]]:
     """NAVSIM camera name to the frames, 0 .. 3, in which it is wanted; those never wanted left out.
-
-    Raises:
-        InputError: the LiDAR is wanted, or a frame that there is not.
-    """
+    Raises InputError: the LiDAR is wanted, or a frame that there is not."""
     if getattr(config, "lidar_pc", False):
         raise InputError(
             where,

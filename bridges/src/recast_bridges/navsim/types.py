@@ -147,11 +147,8 @@ class TrajectorySampling:
     interval_length: float | None = None
 
     def __post_init__(self) -> None:
-        """Work out the missing one.
-
-        Raises:
-            ValueError: fewer than two are given, or they contradict each other.
-        """
+        """Work out the missing one. Raises ValueError: fewer than two are given, or they contradict
+        each other."""
         count, horizon, interval = self.num_poses, self.time_horizon, self.interval_length
         if (count, horizon, interval).count(None) > 1:
             raise ValueError("TrajectorySampling: give two of its three values")
@@ -188,10 +185,7 @@ def rig_cameras(
     wanted: Sequence[str], mounts: Mapping[str, CameraMount], where: str
 ) -> dict[str, str]:
     """NAVSIM name to the rig's camera, see `match_cameras`; `where` is who asks, for messages.
-
-    Raises:
-        InputError: no camera looks where a wanted one should.
-    """
+    Raises InputError: no camera looks where a wanted one should."""
     found = match_cameras(
         {name: Look.level(NAVSIM_CAMERAS[name], _FIELD) for name in wanted}, mounts
     )

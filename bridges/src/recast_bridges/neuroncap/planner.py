@@ -91,11 +91,8 @@ class NeuroNcapPlanner(BasePlanner):
         self._context: PlanningContext | None = None
 
     def choose_cameras(self, mounts: Mapping[str, CameraMount]) -> dict[str, str]:
-        """NeuroNCAP's name to the rig's camera that stands for it, see `ncap_cameras`.
-
-        Raises:
-            InputError: no camera looks ahead.
-        """
+        """NeuroNCAP's name to the rig's camera that stands for it, see `ncap_cameras`. Raises
+        InputError: no camera looks ahead."""
         chosen = ncap_cameras(mounts)
         if "CAM_FRONT" not in chosen:
             mend = "use a log with a camera that looks ahead"
@@ -105,11 +102,8 @@ class NeuroNcapPlanner(BasePlanner):
         return chosen
 
     def reset(self, context: PlanningContext) -> None:
-        """Wait until the program is there, and tell it that a rollout begins.
-
-        Raises:
-            InputError: it is not there, or refuses; no camera looks ahead.
-        """
+        """Wait until the program is there, and tell it that a rollout begins. Raises InputError: it
+        is not there, or refuses; no camera looks ahead."""
         self._cameras = self.choose_cameras(context.cameras)
         self._context = context
         self._wait()

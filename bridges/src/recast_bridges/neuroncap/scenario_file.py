@@ -38,45 +38,29 @@ _JITTER = ("longitudinal", "lateral", "long_lat_angle", "yaw_jitter", "uniform",
 
 @dataclass(frozen=True)
 class Jitter:
-    """How far the places and the yaw of an actor are moved at random.
+    """How far the places and the yaw of an actor are moved at random."""
 
-    Attributes:
-        longitudinal, lateral: metres, along `angle` and to its right; None for none.
-        angle: radians, in the coordinates of the dataset.
-        yaw: radians; None for none.
-        uniform: whether they are bounds of a uniform draw; else standard deviations.
-    """
-
+    # longitudinal, lateral: metres, along `angle` and to its right; None for none.
     longitudinal: float | None
     lateral: float | None
-    angle: float
-    yaw: float | None
-    uniform: bool
+    angle: float  # radians, in the coordinates of the dataset
+    yaw: float | None  # radians; None for none
+    uniform: bool  # whether they are bounds of a uniform draw; else standard deviations
 
 
 @dataclass(frozen=True)
 class NcapFileActor:
-    """An actor of a scenario.
+    """An actor of a scenario."""
 
-    Attributes:
-        uuids: tracks of which one is drawn for each run.
-        is_list: whether the file gives a list, for which a random number is drawn.
-        flipped: tracks whose fallback yaw is turned by pi.
-        group: group of which only one actor is in a run; None for none.
-        optimized: drives as logged; otherwise it is at `positions` at `times`.
-        times: seconds after the first key frame.
-        positions: x, y, z in the coordinates of the dataset, bottom of the box.
-        yaw: radians, for where it stands.
-    """
-
-    uuids: tuple[str, ...]
-    is_list: bool
-    flipped: tuple[str, ...]
-    group: str | None
-    optimized: bool
-    times: tuple[float, ...]
+    uuids: tuple[str, ...]  # tracks of which one is drawn for each run
+    is_list: bool  # whether the file gives a list, for which a random number is drawn
+    flipped: tuple[str, ...]  # tracks whose fallback yaw is turned by pi
+    group: str | None  # group of which only one actor is in a run; None for none
+    optimized: bool  # drives as logged; otherwise it is at `positions` at `times`
+    times: tuple[float, ...]  # seconds after the first key frame
+    # x, y, z in the coordinates of the dataset, bottom of the box.
     positions: tuple[tuple[float, float, float], ...]
-    yaw: float
+    yaw: float  # radians, for where it stands
     target: bool
     jitter: Jitter | None
 

@@ -82,14 +82,10 @@ _PREFIX = "CAM_"
 
 @dataclass(frozen=True)
 class NcapActor:
-    """An actor of the messages.
+    """An actor of the messages."""
 
-    Attributes:
-        trajectory: `local_from_actor` of the box centre.
-        dims: width, length, height in metres. The drawn vehicle keeps its own size.
-    """
-
-    trajectory: Trajectory
+    trajectory: Trajectory  # `local_from_actor` of the box centre
+    # width, length, height in metres. The drawn vehicle keeps its own size.
     dims: tuple[float, float, float]
 
     def to_json(self, uuid: str) -> dict[str, Any]:
@@ -135,11 +131,8 @@ class NcapService:
         return [actor.to_json(uuid) for uuid, actor in self._actors.items()]
 
     def update(self, value: object) -> None:
-        """Replace the actors by those of a list; who is not in it is not drawn any more.
-
-        Raises:
-            RefusedError: INVALID_ARGUMENT names the member at fault; nothing has changed then.
-        """
+        """Replace the actors by those of a list; who is not in it is not drawn any more. Raises
+        RefusedError: INVALID_ARGUMENT names the member at fault; nothing has changed then."""
         found: dict[str, NcapActor] = {}
         for number, one in enumerate(_listed(value, "actors")):
             where = f"actors[{number}]"
@@ -152,11 +145,8 @@ class NcapService:
         self._actors = found
 
     def image(self, value: object) -> tuple[bytes, str]:
-        """An image and its media type.
-
-        Raises:
-            RefusedError: INVALID_ARGUMENT names the member at fault.
-        """
+        """An image and its media type. Raises RefusedError: INVALID_ARGUMENT names the member at
+        fault."""
         pose = _matrices(_member(value, "pose", "request"), "pose", ())
         time = _microseconds(_member(value, "timestamp", "request"), "timestamp")
         name = _member(value, "camera_name", "request")

@@ -37,24 +37,17 @@ class End(NamedTuple):
 
 @dataclass(frozen=True)
 class LaneNetwork:
-    """Roads and their links. Roads and junctions have numbers from 0, each kind for itself.
+    """Roads and their links. Roads and junctions have numbers from 0, each kind for itself."""
 
-    Attributes:
-        roads: lanes of each road, from left to right.
-        before, after: what a road begins and ends at, if anything.
-        junction: number of the junction that a connecting road lies in.
-        connections: incoming and connecting road, by junction.
-        left_out: links between lanes that the format cannot express.
-        parted: neighbours that are not in one road.
-    """
-
-    roads: tuple[tuple[str, ...], ...]
+    roads: tuple[tuple[str, ...], ...]  # lanes of each road, from left to right
+    # before, after: what a road begins and ends at, if anything.
     before: Mapping[int, End]
     after: Mapping[int, End]
-    junction: Mapping[int, int]
+    junction: Mapping[int, int]  # number of the junction that a connecting road lies in
+    # incoming and connecting road, by junction.
     connections: Mapping[int, tuple[tuple[int, int], ...]]
-    left_out: int
-    parted: int
+    left_out: int  # links between lanes that the format cannot express
+    parted: int  # neighbours that are not in one road
 
 
 def network(lanes: Mapping[str, Lane]) -> LaneNetwork:

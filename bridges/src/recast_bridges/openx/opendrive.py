@@ -40,37 +40,26 @@ _LANE_ID = "lane_id"
 
 @dataclass(frozen=True)
 class RoadLane:
-    """A lane, as a file tells it.
+    """A lane, as a file tells it."""
 
-    Attributes:
-        lane_id: id of the lane in the map.
-        centreline, left_boundary, right_boundary: (N, 3) points, metres.
-        speed_limit: speed limit in m/s, or None.
-        successors: lanes that links and junctions name.
-        left_neighbour, right_neighbour: lane beside it in its road, or None.
-    """
-
-    lane_id: str
+    lane_id: str  # id of the lane in the map
+    # centreline, left_boundary, right_boundary: (N, 3) points, metres.
     centreline: Array
     left_boundary: Array
     right_boundary: Array
-    speed_limit: float | None
-    successors: tuple[str, ...]
+    speed_limit: float | None  # speed limit in m/s, or None
+    successors: tuple[str, ...]  # lanes that links and junctions name
+    # left_neighbour, right_neighbour: lane beside it in its road, or None.
     left_neighbour: str | None
     right_neighbour: str | None
 
 
 @dataclass(frozen=True)
 class LeftOutLinks:
-    """What the format cannot express of a map.
+    """What the format cannot express of a map."""
 
-    Attributes:
-        links: links between lanes, see `junctions`.
-        neighbours: pairs of neighbours that are not in one road.
-    """
-
-    links: int
-    neighbours: int
+    links: int  # links between lanes, see `junctions`
+    neighbours: int  # pairs of neighbours that are not in one road
 
 
 def write_opendrive(path: str | Path, hdmap: HdMap, name: str) -> LeftOutLinks:

@@ -40,11 +40,8 @@ def check_share(share: float) -> None:
 
 
 def read_track_names(path: Path | None) -> dict[str, str]:
-    """A JSON object of the log's track ids by the checkpoint's names; none without a file.
-
-    Raises:
-        InputError: the file is missing or holds something else.
-    """
+    """A JSON object of the log's track ids by the checkpoint's names; none without a file. Raises
+    InputError: the file is missing or holds something else."""
     if path is None:
         return {}
     value = read_json(path)
@@ -61,11 +58,8 @@ def check_names(
     tracks: Mapping[str, str],
     leave_out: Sequence[str],
 ) -> None:
-    """Refuse names, to be left out or told the track of, that the checkpoint does not have.
-
-    Raises:
-        InputError: naming the first one.
-    """
+    """Refuse names, to be left out or told the track of, that the checkpoint does not have. Raises
+    InputError: naming the first one."""
     for name in (*leave_out, *tracks):
         if name not in found:
             raise InputError(
@@ -79,11 +73,8 @@ def check_names(
 def track_of(
     table: CheckpointTable, log: DrivingLog, name: str, candidates: Sequence[str]
 ) -> Track:
-    """The log's track for an actor: the first of `candidates` that there is.
-
-    Raises:
-        InputError: none of them is in the log.
-    """
+    """The log's track for an actor: the first of `candidates` that there is. Raises InputError:
+    none of them is in the log."""
     for candidate in candidates:
         if candidate in log.tracks:
             return log.tracks[candidate]

@@ -72,11 +72,8 @@ class CheckpointTable:
         return CheckpointTable(self.path, {**self._content, **members}, self.prefix)
 
     def iteration(self, name: str) -> int | None:
-        """A number of steps, from 0 to 2^53; None where there is none.
-
-        Raises:
-            InputError: it is something else.
-        """
+        """A number of steps, from 0 to 2^53; None where there is none. Raises InputError: it is
+        something else."""
         value = self._content.get(name, 0)
         if isinstance(value, bool) or not isinstance(value, int):
             raise self.fault(name, f"is {type(value).__name__}, not a whole number")
@@ -117,22 +114,15 @@ class CheckpointTable:
         return plain
 
     def text(self, name: str) -> str:
-        """A text.
-
-        Raises:
-            InputError: it is missing, or something else.
-        """
+        """A text. Raises InputError: it is missing, or something else."""
         value = self._member(name)
         if not isinstance(value, str):
             raise self.fault(name, f"is {type(value).__name__}, not a text")
         return value
 
     def number(self, name: str, default: float | None = None) -> float:
-        """A finite number; `default` if it is missing or None, and if there is a default.
-
-        Raises:
-            InputError: it is missing without a default, or something else.
-        """
+        """A finite number; `default` if it is missing or None, and if there is a default. Raises
+        InputError: it is missing without a default, or something else."""
         if default is not None and self._content.get(name) is None:
             return default
         value = self._member(name)
@@ -144,10 +134,7 @@ class CheckpointTable:
 
     def array(self, name: str) -> Array:
         """Numbers of any shape as float64: a tensor, a NumPy array or a list. They may be NaN.
-
-        Raises:
-            InputError: it is missing, or something else.
-        """
+        Raises InputError: it is missing, or something else."""
         value = self._member(name)
         if isinstance(value, Tensor) and value.layout == torch.strided and not value.is_complex():
             return value.detach().to("cpu", torch.float64).numpy()
@@ -231,10 +218,7 @@ def read_gaussians(table: CheckpointTable, names: Names, constant: Tensor) -> Ga
 
 def read_harmonics(table: CheckpointTable, name: str, count: int, degree: float) -> Tensor:
     """View-dependent harmonics (N, (degree + 1)^2 - 1, 3); those of higher degrees are cut off.
-
-    Raises:
-        InputError: see `CheckpointTable.tensor`; or the table has fewer.
-    """
+    Raises InputError: see `CheckpointTable.tensor`; or the table has fewer."""
     rest = table.tensor(name, count, None, 3)
     wanted = (int(degree) + 1) ** 2 - 1
     if rest.shape[1] < wanted:
@@ -253,11 +237,8 @@ def unused_members(
 
 
 def read_faces(table: CheckpointTable, name: str) -> Tensor:
-    """A checkpoint's cubemap (6, R, R, 3).
-
-    Raises:
-        InputError: it is missing, of another shape, or not finite.
-    """
+    """A checkpoint's cubemap (6, R, R, 3). Raises InputError: it is missing, of another shape, or
+    not finite."""
     faces = table.tensor(name, 6, None, None, 3)
     if faces.shape[1] != faces.shape[2] or faces.shape[1] == 0:
         raise table.fault(name, f"has faces of {list(faces.shape[1:3])}, which are not squares")

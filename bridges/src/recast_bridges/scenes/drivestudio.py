@@ -212,17 +212,11 @@ def _left_out(models: CheckpointTable) -> list[str]:
 
 @dataclass(frozen=True)
 class Instance:
-    """One rigid actor.
+    """One rigid actor."""
 
-    Attributes:
-        gaussians: Gaussians in the box frame; harmonics in the axes of the scene.
-        size: (3,) length, width, height in metres.
-        trajectory: `world_from_actor` at the frames in which it is there.
-    """
-
-    gaussians: Gaussians
-    size: Array
-    trajectory: Trajectory
+    gaussians: Gaussians  # Gaussians in the box frame; harmonics in the axes of the scene
+    size: Array  # (3,) length, width, height in metres
+    trajectory: Trajectory  # `world_from_actor` at the frames in which it is there
 
 
 def read_constant(table: CheckpointTable) -> Tensor:

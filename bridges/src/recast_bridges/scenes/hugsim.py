@@ -62,17 +62,11 @@ _ACTOR = re.compile(r"dynamic_([A-Za-z0-9-]{1,64})\.pth")
 
 @dataclass(frozen=True)
 class Clock:
-    """How the scene's times lie in the log.
+    """How the scene's times lie in the log."""
 
-    Attributes:
-        start_us: time of the log, microseconds, ...
-        origin: ... that is this time of the scene.
-        unit: seconds of one unit of the scene's times.
-    """
-
-    start_us: int
-    origin: float
-    unit: float
+    start_us: int  # time of the log, microseconds, ..
+    origin: float  # ... that is this time of the scene.
+    unit: float  # seconds of one unit of the scene's times
 
     def __post_init__(self) -> None:
         """Refuse a unit that is no time; InputError names the option."""
@@ -92,11 +86,7 @@ def actor_names(folder: Path) -> list[str]:
 
 def origin_of(folder: Path, pose: Array) -> float:
     """The scene's time of the image that was taken at a camera pose (4, 4); 0 without
-    meta_data.json.
-
-    Raises:
-        InputError: see `read_recordings`.
-    """
+    meta_data.json. Raises InputError: see `read_recordings`."""
     if not (folder / RECORDINGS_FILE).exists():
         return 0.0
     recordings = read_recordings(folder / RECORDINGS_FILE)
@@ -107,11 +97,8 @@ def origin_of(folder: Path, pose: Array) -> float:
 def read_motion(
     folder: Path, name: str, clock: Clock, world_from_scene: Array
 ) -> Trajectory | None:
-    """`world_from_own` of an actor; None without its file.
-
-    Raises:
-        InputError: the file is broken, or its times are none of a log.
-    """
+    """`world_from_own` of an actor; None without its file. Raises InputError: the file is broken,
+    or its times are none of a log."""
     file = folder / f"unicycle_{name}.pth"
     if not file.exists():
         return None
@@ -285,11 +272,8 @@ def import_hugsim(
 
 
 def forward_camera(log: DrivingLog, name: str | None) -> CameraStream:
-    """The named camera of the log, or the one that looks forward most.
-
-    Raises:
-        InputError: the log has no such camera.
-    """
+    """The named camera of the log, or the one that looks forward most. Raises InputError: the log
+    has no such camera."""
     cameras = log.cameras
     if name is None:
         ahead = {key: one.rig_from_camera[0, 2] for key, one in cameras.items()}
@@ -302,11 +286,8 @@ def forward_camera(log: DrivingLog, name: str | None) -> CameraStream:
 
 
 def start_time(log: DrivingLog, stream: CameraStream, first_frame: int) -> int:
-    """Time in microseconds of a camera's frame; of the log's first pose if it has no images.
-
-    Raises:
-        InputError: the camera has no such frame.
-    """
+    """Time in microseconds of a camera's frame; of the log's first pose if it has no images. Raises
+    InputError: the camera has no such frame."""
     count = len(stream.timestamps_us)
     if count == 0 and first_frame == 0:
         return int(log.world_from_rig.timestamps_us[0])

@@ -41,11 +41,8 @@ _MEND = "give a scene as HUGSIM exports it; see docs/howto/published_streets.md"
 
 
 def read_members(path: Path) -> tuple[CheckpointTable, int | None]:
-    """The members of a tuple of Gaussians by name, a ground's among them; its training step.
-
-    Raises:
-        InputError: the file is missing, broken or of another layout.
-    """
+    """The members of a tuple of Gaussians by name, a ground's among them; its training step. Raises
+    InputError: the file is missing, broken or of another layout."""
     content = read_torch_file(path, "copy it again", safe=ARRAYS)
     if not isinstance(content, tuple | list) or len(content) != 2:
         raise InputError(path, "file", "is not a pair of Gaussians and iteration", _MEND)
@@ -64,11 +61,8 @@ def _named(path: Path, field: str, members: Any) -> dict[str, Any]:
 
 
 def read_ground(table: CheckpointTable) -> CheckpointTable | None:
-    """The ground's members by name, or None if the scene has no ground of its own.
-
-    Raises:
-        InputError: it is no tuple of Gaussians.
-    """
+    """The ground's members by name, or None if the scene has no ground of its own. Raises
+    InputError: it is no tuple of Gaussians."""
     if table.raw("ground") is None:
         return None
     return CheckpointTable(table.path, _named(table.path, "ground", table.raw("ground")), "ground")
@@ -97,12 +91,9 @@ def read_hugsim_gaussians(table: CheckpointTable, flat: bool = False) -> Gaussia
 
 
 def read_camera_poses(path: Path) -> tuple[Array, float]:
-    """Poses (F, 4, 4) of the recorded front camera in the scene, and its height in metres.
-
-    Raises:
-        InputError: the file is missing, damaged, holds other things than plain values and arrays,
-            or poses that are not rigid; no code in it is run.
-    """
+    """Poses (F, 4, 4) of the recorded front camera in the scene, and its height in metres. Raises
+    InputError: the file is missing, damaged, holds other things than plain values and arrays, or
+    poses that are not rigid; no code in it is run."""
     content = read_pickle(path, _MEND)
     if not isinstance(content, tuple | list) or len(content) != 3:
         raise InputError(path, "pickle", "is not a triple of poses, height and commands", _MEND)
@@ -115,11 +106,8 @@ def read_camera_poses(path: Path) -> tuple[Array, float]:
 
 
 def rigid_poses(table: CheckpointTable, name: str, poses: Array) -> Array:
-    """Poses (F, 4, 4) of a member, checked.
-
-    Raises:
-        InputError: another shape, not rigid, or too far.
-    """
+    """Poses (F, 4, 4) of a member, checked. Raises InputError: another shape, not rigid, or too
+    far."""
     if poses.ndim != 3 or poses.shape[1:] != (4, 4) or len(poses) == 0:
         raise table.fault(name, f"has shape {list(poses.shape)}, expected [any, 4, 4]", _MEND)
     turns = poses[:, :3, :3]
@@ -133,25 +121,16 @@ def rigid_poses(table: CheckpointTable, name: str, poses: Array) -> Array:
 
 @dataclass(frozen=True)
 class Recording:
-    """The images that a scene was trained on, of one camera, in the order of their times.
+    """The images that a scene was trained on, of one camera, in the order of their times."""
 
-    Attributes:
-        times: (F,) times of the images in the scene's unit.
-        poses: (F, 4, 4) poses of the camera in the scene.
-        camera: intrinsics.
-    """
-
-    times: Array
-    poses: Array
-    camera: PinholeCamera
+    times: Array  # (F,) times of the images in the scene's unit
+    poses: Array  # (F, 4, 4) poses of the camera in the scene
+    camera: PinholeCamera  # intrinsics
 
 
 def read_recordings(path: Path) -> dict[str, Recording]:
-    """The cameras of meta_data.json by name, which is that of the folder of their images.
-
-    Raises:
-        InputError: the file is missing, or a frame is not as it must be.
-    """
+    """The cameras of meta_data.json by name, which is that of the folder of their images. Raises
+    InputError: the file is missing, or a frame is not as it must be."""
     value = read_json(path)
     frames = value.get("frames") if isinstance(value, dict) else None
     if not isinstance(frames, list) or not frames:
@@ -199,11 +178,8 @@ def front_camera(recordings: Mapping[str, Recording], pose: Array) -> tuple[str,
 
 def read_unicycle(path: Path) -> tuple[Array, Array]:
     """The motion of an actor: times (T,) in the scene's unit, and poses (T, 4, 4) in the scene.
-
-    Raises:
-        InputError: the file is missing, broken or of another layout, a value is not finite, or the
-            times do not increase.
-    """
+    Raises InputError: the file is missing, broken or of another layout, a value is not finite, or
+    the times do not increase."""
     content = read_torch_file(path, "copy it again", safe=ARRAYS)
     if not isinstance(content, tuple | list) or len(content) != len(MOTION):
         raise InputError(path, "file", f"is not a tuple of {len(MOTION)} members", _MEND)

@@ -62,12 +62,9 @@ _MEND_FRAMES = "name the checkpoint itself to import it without the recorded fra
 
 
 def read_drives(path: Path) -> dict[str, list[CheckpointTable]]:
-    """The frames of each recorded drive, by the drive's token.
-
-    Raises:
-        InputError: the file is missing, is damaged or holds other things than plain values and
-            arrays; no code in it is run. Or a drive has no list of frames.
-    """
+    """The frames of each recorded drive, by the drive's token. Raises InputError: the file is
+    missing, is damaged or holds other things than plain values and arrays; no code in it is run. Or
+    a drive has no list of frames."""
     content = read_pickle(path, _MEND_FRAMES)
     if not isinstance(content, Mapping):
         raise InputError(
@@ -92,11 +89,8 @@ def read_drives(path: Path) -> dict[str, list[CheckpointTable]]:
 
 
 def read_places(frames: Sequence[CheckpointTable]) -> tuple[Int64Array, Array]:
-    """Times (F,) in microseconds and places (F, 3) of the ego in the scene.
-
-    Raises:
-        InputError: a frame lacks its time or its place.
-    """
+    """Times (F,) in microseconds and places (F, 3) of the ego in the scene. Raises InputError: a
+    frame lacks its time or its place."""
     times, places = [], []
     for frame in frames:
         time = frame.number("timestamp")
@@ -258,11 +252,8 @@ def import_mtgs(
 
 
 def find_checkpoint(path: Path) -> tuple[Path | None, Path]:
-    """The scene's folder, if one is given, and its checkpoint.
-
-    Raises:
-        InputError: the folder has no checkpoint, or several.
-    """
+    """The scene's folder, if one is given, and its checkpoint. Raises InputError: the folder has no
+    checkpoint, or several."""
     if not path.is_dir():
         return None, path
     found = sorted(path.glob("background/*.ckpt"))

@@ -93,11 +93,8 @@ def _found_again(means: Tensor, config: CheckpointTable) -> Tensor:
 
 
 def read_shift(config: CheckpointTable) -> Array:
-    """Metres (3,) from the scene's origin to that of its map frame.
-
-    Raises:
-        InputError: it is missing, or something else.
-    """
+    """Metres (3,) from the scene's origin to that of its map frame. Raises InputError: it is
+    missing, or something else."""
     shift = config.array("recon2world_translation").reshape(-1)
     if shift.shape != (3,) or not np.all(np.abs(shift) <= WORLD_REACH):  # also NaN
         raise config.fault("recon2world_translation", "is not three metres")
@@ -122,10 +119,7 @@ def exposed(config: CheckpointTable) -> bool:
 
 def read_ego(config: CheckpointTable) -> tuple[Int64Array, Array] | None:
     """Times (F,) in microseconds and places (F, 3) of the ego in the scene; None if not saved.
-
-    Raises:
-        InputError: they are of another shape, or out of range.
-    """
+    Raises InputError: they are of another shape, or out of range."""
     if _CALIBRATION not in config or config.table(_CALIBRATION).raw("ego_to_global") is None:
         return None
     saved = config.table(_CALIBRATION)
@@ -151,27 +145,19 @@ _ANGLES = 360
 
 @dataclass(frozen=True)
 class MtgsNode:
-    """One model of the checkpoint.
+    """One model of the checkpoint."""
 
-    Attributes:
-        token: what the log calls an actor, or background or skybox.
-        kind: class that the trainer had for it.
-        config, state, gaussians: settings, poses and Gaussians.
-    """
-
-    token: str
-    kind: str
+    token: str  # what the log calls an actor, or background or skybox
+    kind: str  # class that the trainer had for it
+    # config, state, gaussians: settings, poses and Gaussians.
     config: CheckpointTable
     state: CheckpointTable
     gaussians: CheckpointTable
 
     @classmethod
     def of(cls, root: CheckpointTable, name: str, token: str) -> MtgsNode:
-        """The node `name` of a checkpoint.
-
-        Raises:
-            InputError: it has no configuration, type or state.
-        """
+        """The node `name` of a checkpoint. Raises InputError: it has no configuration, type or
+        state."""
         own = root.table(name)
         config, state = own.table("config"), own.table("state_dict")
         prefix = "gauss_params"
@@ -249,17 +235,11 @@ def _constant(node: MtgsNode, count: int, share: float) -> Tensor:
 
 @dataclass(frozen=True)
 class MtgsMotion:
-    """Where an actor is.
+    """Where an actor is."""
 
-    Attributes:
-        trajectory: `world_from_actor` in the frames in which it is there.
-        static: whether the actor has one pose for the whole drive.
-        gaps: whether the actor is absent between two of these frames.
-    """
-
-    trajectory: Trajectory
-    static: bool
-    gaps: bool
+    trajectory: Trajectory  # `world_from_actor` in the frames in which it is there
+    static: bool  # whether the actor has one pose for the whole drive
+    gaps: bool  # whether the actor is absent between two of these frames
 
     def meets(self, log: DrivingLog) -> bool:
         """Whether it is there in the log's time."""

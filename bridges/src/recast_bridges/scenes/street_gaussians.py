@@ -64,33 +64,23 @@ Boxes = dict[int, dict[int, Array]]
 
 @dataclass(frozen=True)
 class ProcessedDrive:
-    """What the importer needs of the folder.
+    """What the importer needs of the folder."""
 
-    Attributes:
-        folder: folder of the processed drive, for messages.
-        first, last: frames of the training, both included.
-        camera: name of its first camera, at whose times actors are placed.
-        offset: (3,) dataset coordinates of the scene's origin.
-        boxes: boxes by track number and frame: x, y, z, heading in the vehicle frame.
-        slots: slots by track number and frame.
-        slot_count: number of slots of a frame.
-        frame_seconds, camera_seconds: times of the frame and of its camera image by frame, seconds.
-        dataset_from_vehicle: (4, 4) vehicle poses by frame, at the camera's time.
-        numbers: track number by dataset id.
-    """
-
-    folder: Path
+    folder: Path  # folder of the processed drive, for messages
+    # first, last: frames of the training, both included.
     first: int
     last: int
-    camera: str
-    offset: Array
+    camera: str  # name of its first camera, at whose times actors are placed
+    offset: Array  # (3,) dataset coordinates of the scene's origin
+    # boxes by track number and frame: x, y, z, heading in the vehicle frame.
     boxes: Mapping[int, Mapping[int, Array]]
-    slots: Mapping[tuple[int, int], int]
-    slot_count: int
+    slots: Mapping[tuple[int, int], int]  # slots by track number and frame
+    slot_count: int  # number of slots of a frame
+    # frame_seconds, camera_seconds: times of the frame and of its camera image by frame, seconds.
     frame_seconds: Mapping[int, float]
     camera_seconds: Mapping[int, float]
-    dataset_from_vehicle: Mapping[int, Array]
-    numbers: Mapping[str, int]
+    dataset_from_vehicle: Mapping[int, Array]  # (4, 4) vehicle poses by frame, at the camera's time
+    numbers: Mapping[str, int]  # track number by dataset id
 
     @property
     def frame_count(self) -> int:

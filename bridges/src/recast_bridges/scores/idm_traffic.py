@@ -36,21 +36,15 @@ _DT = 0.1
 
 @dataclass
 class _Agent:
-    """A vehicle on its lane.
-
-    Attributes:
-        path: path along its lane and the lanes that follow straightest.
-        ends, limits: progress at which each lane ends, and its target speed.
-        lanes: how many of them it has taken up so far.
-        state: progress of its centre and speed.
-    """
+    """A vehicle on its lane."""
 
     size: Array
-    path: Centreline
+    path: Centreline  # path along its lane and the lanes that follow straightest
+    # ends, limits: progress at which each lane ends, and its target speed.
     ends: Array
     limits: Array
-    state: Array
-    lanes: int = 1
+    state: Array  # progress of its centre and speed
+    lanes: int = 1  # how many of them it has taken up so far
 
     @property
     def pose(self) -> Array:

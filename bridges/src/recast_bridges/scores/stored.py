@@ -46,30 +46,21 @@ SCORES: Mapping[str, StoredScoreColumn] = {
 
 @dataclass(frozen=True)
 class ForeignScores:
-    """What one rollout scored.
+    """What one rollout scored."""
 
-    Attributes:
-        name, planner, arm, motion, setting: the same as in `Rollout`.
-        values: metrics by key of `SCORES`.
-        details: each score with what it was made from, as plain data.
-    """
-
+    # name, planner, arm, motion, setting: the same as in `Rollout`.
     name: str
     planner: str
     arm: str
     motion: str
     setting: str
-    values: Mapping[str, Metric]
-    details: Mapping[str, Any]
+    values: Mapping[str, Metric]  # metrics by key of `SCORES`
+    details: Mapping[str, Any]  # each score with what it was made from, as plain data
 
 
 def score_run(path: str | Path, progress: Progress | None = None) -> tuple[ForeignScores, ...]:
-    """Score all rollouts of a run; those that failed are left out.
-
-    Raises:
-        InputError: the folder is no run or has no rollouts yet; or its log, its store or a rollout
-            is missing or damaged.
-    """
+    """Score all rollouts of a run; those that failed are left out. Raises InputError: the folder is
+    no run or has no rollouts yet; or its log, its store or a rollout is missing or damaged."""
     run = RunFolder.open(path)
     uses = [use for use in run.record.artefacts if use_parts(use)[0] == _USE]
     if not uses:
@@ -113,19 +104,14 @@ def write_scores(scores: Sequence[ForeignScores], path: Path) -> None:
 
 @dataclass(frozen=True)
 class ScoreRow:
-    """Means over the rollouts of a planner under an arm.
-
-    Attributes:
-        rollouts: number of rollouts that were scored.
-        means: means by key of `SCORES`, in the column's unit; None without any rollout.
-        counts: number of rollouts that a mean is taken over, by key of `SCORES`.
-    """
+    """Means over the rollouts of a planner under an arm."""
 
     planner: str
     arm: str
-    rollouts: int
+    rollouts: int  # number of rollouts that were scored
+    # means by key of `SCORES`, in the column's unit; None without any rollout.
     means: Mapping[str, float | None]
-    counts: Mapping[str, int]
+    counts: Mapping[str, int]  # number of rollouts that a mean is taken over, by key of `SCORES`
 
 
 def score_rows(scores: Sequence[ForeignScores]) -> list[ScoreRow]:

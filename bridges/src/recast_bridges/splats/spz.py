@@ -203,10 +203,7 @@ def read_spz(path: str | Path, double: bool = False) -> Gaussians:
 
 def read_low_pass(path: str | Path) -> LowPass | None:
     """Mip-Splatting's filter if the file says antialiased, whose variance it cannot tell; or None.
-
-    Raises:
-        InputError: see `read_spz`.
-    """
+    Raises InputError: see `read_spz`."""
     return MIP if _opened(Path(path))[0].flags & _ANTIALIASED else None
 
 

@@ -172,11 +172,8 @@ _Z_FROM_Y = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
 
 
 def read_low_pass(path: str | Path) -> LowPass | None:
-    """The filter that `write_usd` told; None if the file tells none.
-
-    Raises:
-        InputError: the file is missing or too large, or what it tells is no filter.
-    """
+    """The filter that `write_usd` told; None if the file tells none. Raises InputError: the file is
+    missing or too large, or what it tells is no filter."""
     told = _FILTER.search(read_bytes(path, LONGEST_USD))
     return None if told is None else parse_low_pass(path, told[1].decode("ascii", "replace"))
 

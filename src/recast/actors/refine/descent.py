@@ -215,15 +215,10 @@ def split(gaussians: Gaussians, whole: Tensor, first: Tensor, second: Tensor) ->
 
 @dataclass(frozen=True)
 class ViewLoss:
-    """Terms of one image, each a mean over the pixels that it compares.
+    """Terms of one image, each a mean over the pixels that it compares."""
 
-    Attributes:
-        colour: 0.8 |x - y| + 0.2 (1 - SSIM) on the vehicle.
-        outline: |opacity - mask|, weighted by trust, over the vehicle's pixels.
-    """
-
-    colour: Tensor
-    outline: Tensor
+    colour: Tensor  # 0.8 |x - y| + 0.2 (1 - SSIM) on the vehicle
+    outline: Tensor  # |opacity - mask|, weighted by trust, over the vehicle's pixels
 
     @property
     def total(self) -> Tensor:
@@ -260,23 +255,14 @@ def view_loss(
 
 @dataclass(frozen=True)
 class RefinementTask:
-    """What both descents have in common.
+    """What both descents have in common."""
 
-    Attributes:
-        views: images to follow.
-        held: images that judge.
-        low_pass: the filter of the Gaussians.
-        symmetric: whether images teach the other side, too.
-        seed: seed of the order of images and of the mirrored steps.
-        steps: numbers of steps.
-    """
-
-    views: Sequence[Layers]
-    held: Sequence[Layers]
-    low_pass: LowPass
-    symmetric: bool
-    seed: int
-    steps: Steps
+    views: Sequence[Layers]  # images to follow
+    held: Sequence[Layers]  # images that judge
+    low_pass: LowPass  # the filter of the Gaussians
+    symmetric: bool  # whether images teach the other side, too
+    seed: int  # seed of the order of images and of the mirrored steps
+    steps: Steps  # numbers of steps
 
     def image_loss(
         self, gaussians: Gaussians, poses: PoseOffsets, step: int, seen: Tensor | None = None

@@ -48,29 +48,20 @@ from recast.splats.sh import C0
 
 @dataclass(frozen=True)
 class Layers:
-    """One sighting, ready to be compared with the vehicle between its layers.
+    """One sighting, ready to be compared with the vehicle between its layers."""
 
-    Attributes:
-        sighting: the image, its mask and cameras.
-        target: (H, W, 3) float32, the image with the gain of its exposure undone.
-        street: (H, W, 3) float32, everything behind the vehicle but its shadow, sky included.
-        shade: (H, W) float32, opacity of the vehicle's shadow on it.
-        front: (H, W, 3) float32, what is nearer, weighted by its own opacity.
-        through: (H, W) float32, share of light that passes what is nearer.
-        mask, trust: (H, W) float32, see `Sighting`.
-        compared: (H, W) float32 in [0, 1], where colours are compared: on the vehicle and its edge.
-        camera_from_world, world_from_object: (4, 4) float32.
-    """
-
-    sighting: Sighting
-    target: Tensor
-    street: Tensor
-    shade: Tensor
-    front: Tensor
-    through: Tensor
+    sighting: Sighting  # the image, its mask and cameras
+    target: Tensor  # (H, W, 3) float32, the image with the gain of its exposure undone
+    street: Tensor  # (H, W, 3) float32, everything behind the vehicle but its shadow, sky included
+    shade: Tensor  # (H, W) float32, opacity of the vehicle's shadow on it
+    front: Tensor  # (H, W, 3) float32, what is nearer, weighted by its own opacity
+    through: Tensor  # (H, W) float32, share of light that passes what is nearer
+    # mask, trust: (H, W) float32, see `Sighting`.
     mask: Tensor
     trust: Tensor
+    # (H, W) float32 in [0, 1], where colours are compared: on the vehicle and its edge.
     compared: Tensor
+    # camera_from_world, world_from_object: (4, 4) float32.
     camera_from_world: Tensor
     world_from_object: Tensor
 
@@ -158,35 +149,23 @@ def _gain(image: Tensor, street: Tensor, mask: Tensor, trust: Tensor) -> Tensor:
 
 @dataclass(frozen=True)
 class RoadPixels:
-    """Pixels of one image that show road beside a vehicle.
+    """Pixels of one image that show road beside a vehicle."""
 
-    Attributes:
-        places: (P, 2) metres, where they lie on the ground of the actor frame.
-        image: (P,) display values, mean of the channels, the gain of the exposure undone.
-        street: (P,) the same of the scene without the vehicle.
-        pose: (4, 4) `world_from_actor`.
-        weight: what the image counts beside the others, see `recast.actors.evidence.Sighting`.
-    """
-
-    places: Array
-    image: Array
-    street: Array
-    pose: Array
-    weight: float
+    places: Array  # (P, 2) metres, where they lie on the ground of the actor frame
+    image: Array  # (P,) display values, mean of the channels, the gain of the exposure undone
+    street: Array  # (P,) the same of the scene without the vehicle
+    pose: Array  # (4, 4) `world_from_actor`
+    weight: float  # what the image counts beside the others, see `recast.actors.evidence.Sighting`
 
 
 @dataclass(frozen=True)
 class ShadowEvidence:
-    """What the images of a vehicle say of its shadow.
+    """What the images of a vehicle say of its shadow."""
 
-    Attributes:
-        sun: (D,) logarithms of how likely the sun stands in each of `recast.scene.light.sun`'s
-            directions, world frame, up to a constant; zeros where nothing is told.
-        darkness: factor of the contact shadow's opacity; one where nothing is told.
-    """
-
+    # (D,) logarithms of how likely the sun stands in each of `recast.scene.light.sun`'s directions,
+    # world frame, up to a constant; zeros where nothing is told.
     sun: Array
-    darkness: float
+    darkness: float  # factor of the contact shadow's opacity; one where nothing is told
 
 
 def shadow_evidence(actor: Actor, scene: StreetScene, views: Sequence[Layers]) -> ShadowEvidence:
@@ -266,17 +245,11 @@ def _sun(roads: Sequence[RoadPixels], expected: Sequence[Array]) -> Array:
 
 @dataclass(frozen=True)
 class Visibility:
-    """What images show of N Gaussians, in pixels of the patch of surface around each.
+    """What images show of N Gaussians, in pixels of the patch of surface around each."""
 
-    Attributes:
-        own: (N,) float32 sum over all images, weighted as they are.
-        twin: (N,) the same sum of the mirrored vehicle.
-        shown: (N,) bool, which Gaussians themselves are in a picture, or mirrored in one.
-    """
-
-    own: Tensor
-    twin: Tensor
-    shown: Tensor
+    own: Tensor  # (N,) float32 sum over all images, weighted as they are
+    twin: Tensor  # (N,) the same sum of the mirrored vehicle
+    shown: Tensor  # (N,) bool, which Gaussians themselves are in a picture, or mirrored in one
 
     @property
     def shares(self) -> Shares:

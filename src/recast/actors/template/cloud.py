@@ -92,27 +92,20 @@ def sample(
 
 @dataclass(frozen=True)
 class SurfaceCloud:
-    """N surface patches; x forward, y left, z up from the ground, metres.
+    """N surface patches; x forward, y left, z up from the ground, metres."""
 
-    Attributes:
-        points, normals: (N, 3).
-        spacing: (N,) edge of the patch.
-        albedo: (N, 3) linear reflectance of what is not body paint, weighted by 1 - `paint`.
-        gloss: (N,) see `lighting.shade`.
-        paint, glass, rim: (N,) share of body paint, of window, of the metal of wheels.
-        twin: (N,) index of the patch mirrored at the xz plane.
-        on_body: (N,) whether the patch belongs to the body, not to a wheel or mirror.
-    """
-
+    # points, normals: (N, 3).
     points: Array
     normals: Array
-    spacing: Array
-    albedo: Array
-    gloss: Array
+    spacing: Array  # (N,) edge of the patch
+    albedo: Array  # (N, 3) linear reflectance of what is not body paint, weighted by 1 - `paint`
+    gloss: Array  # (N,) see `lighting.shade`
+    # paint, glass, rim: (N,) share of body paint, of window, of the metal of wheels.
     paint: Array
     glass: Array
     rim: Array
-    twin: Int64Array
+    twin: Int64Array  # (N,) index of the patch mirrored at the xz plane
+    # (N,) whether the patch belongs to the body, not to a wheel or mirror.
     on_body: NDArray[np.bool_]
 
     def painted(self, paint: Array) -> Array:

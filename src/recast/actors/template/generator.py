@@ -57,21 +57,13 @@ _COARSE = (0.010, 0.028)  # metres per pixel: from fine enough for slanted sides
 
 @dataclass(frozen=True)
 class SurfaceView:
-    """What the crop says about each of N patches.
+    """What the crop says about each of N patches."""
 
-    Attributes:
-        colour: (N, 3) display values; meaningless where `weight` is 0.
-        weight: (N,) 0 unseen to 1 seen squarely and well inside the mask.
-        views: (N, 3) unit directions from the patch to the camera, vehicle frame.
-        sharpness: (N,) pixels a metre on the patch, foreshortened.
-        gain: gain that `colour` was given, on linear light.
-    """
-
-    colour: Array
-    weight: Array
-    views: Array
-    sharpness: Array
-    gain: float = 1.0
+    colour: Array  # (N, 3) display values; meaningless where `weight` is 0
+    weight: Array  # (N,) 0 unseen to 1 seen squarely and well inside the mask
+    views: Array  # (N, 3) unit directions from the patch to the camera, vehicle frame
+    sharpness: Array  # (N,) pixels a metre on the patch, foreshortened
+    gain: float = 1.0  # gain that `colour` was given, on linear light
 
 
 def view_surface(
@@ -201,17 +193,11 @@ def _mix(weights: Array, values: Array) -> Array:
 
 @dataclass(frozen=True)
 class TemplateTexture:
-    """Observed colours spread over both sides of the vehicle.
+    """Observed colours spread over both sides of the vehicle."""
 
-    Attributes:
-        colour: (N, 3) display values.
-        weight: (N,) how far `colour` replaces the model's own.
-        views: (N, 3) unit directions to the camera that saw `colour`, mirrored with it.
-    """
-
-    colour: Array
-    weight: Array
-    views: Array
+    colour: Array  # (N, 3) display values
+    weight: Array  # (N,) how far `colour` replaces the model's own
+    views: Array  # (N, 3) unit directions to the camera that saw `colour`, mirrored with it
 
 
 def mirrored_texture(cloud: SurfaceCloud, seen: SurfaceView) -> TemplateTexture:

@@ -49,15 +49,10 @@ _FEW = 50
 
 @dataclass(frozen=True)
 class Daylight:
-    """How a photograph's light differs from the model's clear day.
+    """How a photograph's light differs from the model's clear day."""
 
-    Attributes:
-        level: factor on the light that falls on the vehicle; about 0.4 in the shade of houses.
-        mirrored: (3,) factors on the light that it mirrors.
-    """
-
-    level: float
-    mirrored: Array
+    level: float  # factor on the light that falls on the vehicle; about 0.4 in the shade of houses
+    mirrored: Array  # (3,) factors on the light that it mirrors
 
 
 CLEAR_DAY = Daylight(1.0, np.ones(3))

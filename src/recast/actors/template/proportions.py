@@ -171,24 +171,15 @@ def candidate_styles(category: str, size: ArrayLike) -> dict[str, float]:
 
 @dataclass(frozen=True)
 class ShapeFit:
-    """A fitted body and where the real vehicle stands in its logged box.
+    """A fitted body and where the real vehicle stands in its logged box."""
 
-    Attributes:
-        style: name in `STYLES`.
-        proportions: proportions of the style, bent to the points.
-        offset: (2,) forward, left shift of the vehicle from the box, metres.
-        scale: size of the vehicle over that of its box.
-        median_distance: median distance of the points used to the fitted surface, metres; nan
-            without points.
-        costs: style to cost, for the record.
-    """
-
-    style: str
-    proportions: Proportions
-    offset: Array
-    scale: float
+    style: str  # name in `STYLES`
+    proportions: Proportions  # proportions of the style, bent to the points
+    offset: Array  # (2,) forward, left shift of the vehicle from the box, metres
+    scale: float  # size of the vehicle over that of its box
+    # median distance of the points used to the fitted surface, metres; nan without points.
     median_distance: float
-    costs: dict[str, float]
+    costs: dict[str, float]  # style to cost, for the record
 
 
 def fit_shape(
@@ -342,17 +333,11 @@ _TOLERANCES = {"xatol": 0.02, "fatol": 0.01}
 
 @dataclass(frozen=True)
 class TemplatePlacement:
-    """Affine map from the model (ground at z = 0) to the logged box's frame.
+    """Affine map from the model (ground at z = 0) to the logged box's frame."""
 
-    Attributes:
-        stretch: (3,) along, across, up.
-        shift: (3,) metres.
-        overlap: intersection over union of the model's silhouette with the mask.
-    """
-
-    stretch: Array
-    shift: Array
-    overlap: float
+    stretch: Array  # (3,) along, across, up
+    shift: Array  # (3,) metres
+    overlap: float  # intersection over union of the model's silhouette with the mask
 
     def points(self, points: Array) -> Array:
         """Model points (N, 3) in the box frame."""
@@ -504,22 +489,15 @@ def _clearest(
 
 @dataclass(frozen=True)
 class Contour:
-    """The outline of one mask as M lines of sight, in the box frame with the ground at z = 0.
+    """The outline of one mask as M lines of sight, in the box frame with the ground at z = 0."""
 
-    Attributes:
-        eye: (3,) position of the camera.
-        rays: (M, 3) unit directions.
-        near, far: (M,) metres along each line between which the body may be.
-        across: (2, 3) unit vectors to the right and down in the image.
-        noise: metres by which a line is off.
-    """
-
-    eye: Array
-    rays: Array
+    eye: Array  # (3,) position of the camera
+    rays: Array  # (M, 3) unit directions
+    # near, far: (M,) metres along each line between which the body may be.
     near: Array
     far: Array
-    across: Array
-    noise: float
+    across: Array  # (2, 3) unit vectors to the right and down in the image
+    noise: float  # metres by which a line is off
 
     def points(self, along: Array, shift: Array) -> Array:
         """(..., M, 3) at distances (..., M), all moved by `shift` (2,) metres across the view."""

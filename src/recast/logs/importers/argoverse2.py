@@ -102,11 +102,7 @@ class _Sim2(ForeignRecord):
 
 
 def find_map(log: Path) -> Path:
-    """The vector map of a log.
-
-    Raises:
-        InputError: there is none.
-    """
+    """The vector map of a log. Raises InputError: there is none."""
     path = _one(log / "map", "log_map_archive_*.json")
     if path is None:
         raise InputError(log / "map", "log_map_archive_*.json", "is missing", _MEND)

@@ -51,11 +51,8 @@ TURN_US = 120_000
 
 
 def find_log(root: Path, drive: str) -> Path:
-    """The folder of a log: in `root`, in a split below it, or `root` itself.
-
-    Raises:
-        InputError: the folder or the log does not exist.
-    """
+    """The folder of a log: in `root`, in a split below it, or `root` itself. Raises InputError: the
+    folder or the log does not exist."""
     if not root.is_dir():
         raise InputError(root, "Argoverse 2 folder", "does not exist", "check the path")
     check_drive(root, drive)
@@ -68,15 +65,10 @@ def find_log(root: Path, drive: str) -> Path:
 
 @dataclass(frozen=True)
 class TimedFiles:
-    """Frames of one sensor, named after their time.
+    """Frames of one sensor, named after their time."""
 
-    Attributes:
-        timestamps_us: (F,) int64, strictly increasing.
-        paths: F files.
-    """
-
-    timestamps_us: Int64Array
-    paths: tuple[Path, ...]
+    timestamps_us: Int64Array  # (F,) int64, strictly increasing
+    paths: tuple[Path, ...]  # F files
 
     def within(self, first_us: int, last_us: int) -> TimedFiles:
         """Those with a time in [first_us, last_us]."""
@@ -132,11 +124,8 @@ def read_columns(
 
 
 def times_of(path: Path, columns: Columns) -> Int64Array:
-    """Times (N,) of a table in nanoseconds.
-
-    Raises:
-        InputError: one is no integer, or lies outside of what a log can hold.
-    """
+    """Times (N,) of a table in nanoseconds. Raises InputError: one is no integer, or lies outside
+    of what a log can hold."""
     values = columns[TIME]
     latest = 1000 * checks.LATEST_US
     wrong = np.flatnonzero((values < 0) | (values >= latest) | (values != np.trunc(values)))
@@ -147,11 +136,8 @@ def times_of(path: Path, columns: Columns) -> Int64Array:
 
 
 def poses(path: Path, columns: Columns) -> Array:
-    """Transforms (N, 4, 4) of the quaternions and translations of a table.
-
-    Raises:
-        InputError: a quaternion is not of unit length, or a translation is of no place on Earth.
-    """
+    """Transforms (N, 4, 4) of the quaternions and translations of a table. Raises InputError: a
+    quaternion is not of unit length, or a translation is of no place on Earth."""
     quat = np.stack([columns[name].astype(np.float64) for name in QUATERNION], axis=-1)
     with np.errstate(over="ignore"):
         norm = np.linalg.norm(quat, axis=-1)
@@ -173,15 +159,10 @@ def poses(path: Path, columns: Columns) -> Array:
 
 @dataclass(frozen=True)
 class RigCalibration:
-    """Mounting of the sensors, by name.
+    """Mounting of the sensors, by name."""
 
-    Attributes:
-        cameras: intrinsics of the (undistorted) images.
-        ego_from_sensor: (4, 4) poses of cameras (OpenCV axes) and LiDARs.
-    """
-
-    cameras: dict[str, PinholeCamera]
-    ego_from_sensor: dict[str, Array]
+    cameras: dict[str, PinholeCamera]  # intrinsics of the (undistorted) images
+    ego_from_sensor: dict[str, Array]  # (4, 4) poses of cameras (OpenCV axes) and LiDARs
 
 
 def read_calibration(folder: Path) -> RigCalibration:
@@ -215,11 +196,8 @@ def read_calibration(folder: Path) -> RigCalibration:
 
 
 def check_sensors(log: Path, calibration: RigCalibration) -> None:
-    """Every camera folder has a camera, and where there are sweeps, there are both LiDARs.
-
-    Raises:
-        InputError: one has no calibration.
-    """
+    """Every camera folder has a camera, and where there are sweeps, there are both LiDARs. Raises
+    InputError: one has no calibration."""
     for folder in sorted(log.glob("sensors/cameras/*/")):
         if folder.name not in calibration.cameras:
             raise InputError(
@@ -243,15 +221,11 @@ class Argoverse2Sweeps:
     """The points of one LiDAR in the sweep files of both, read on demand.
 
     The files hold points in the ego frame at the sweep's time, ego motion undone.
-
-    Attributes:
-        files: one for each sweep.
-        lasers: laser numbers of this LiDAR.
-        ego_from_lidar, rig_from_ego: (4, 4).
     """
 
-    files: TimedFiles
-    lasers: range
+    files: TimedFiles  # one for each sweep
+    lasers: range  # laser numbers of this LiDAR
+    # ego_from_lidar, rig_from_ego: (4, 4).
     ego_from_lidar: Array
     rig_from_ego: Array
 
@@ -260,11 +234,7 @@ class Argoverse2Sweeps:
         return len(self.files.paths)
 
     def __getitem__(self, index: int) -> LidarSweep:
-        """Read sweep `index`.
-
-        Raises:
-            InputError: the file, a column or a value is wrong.
-        """
+        """Read sweep `index`. Raises InputError: the file, a column or a value is wrong."""
         path, time = self.files.paths[index], int(self.files.timestamps_us[index])
         rows = read_columns(path, ("intensity", "laser_number", "offset_ns"), gaps="xyz")
         offset = rows["offset_ns"].astype(np.int64) // 1000

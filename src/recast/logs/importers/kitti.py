@@ -75,19 +75,13 @@ MIN_FRACTION = 0.5  # right labels fill nearly all; shifted or mirrored ones a t
 
 @dataclass(frozen=True)
 class LabelledTrack:
-    """Boxes of one object in the sensor frame they were labelled in.
-
-    Attributes:
-        frames: (F,) frame numbers, ascending.
-        sensor_from_box: (F, 4, 4), origin at the box centre, x forward, z up.
-        size: (3,) length, width, height in metres.
-    """
+    """Boxes of one object in the sensor frame they were labelled in."""
 
     track_id: str
     category: str
-    frames: Int64Array
-    sensor_from_box: Array
-    size: Array
+    frames: Int64Array  # (F,) frame numbers, ascending
+    sensor_from_box: Array  # (F, 4, 4), origin at the box centre, x forward, z up
+    size: Array  # (3,) length, width, height in metres
 
 
 def read_tracking_labels(path: Path) -> list[LabelledTrack]:
@@ -222,11 +216,8 @@ def _category(name: str, path: Path, where: str) -> str:
 
 
 def read_labels(path: Path, frame_count: int) -> list[LabelledTrack]:
-    """Read tracklet_labels.xml or a tracking label file (any other suffix).
-
-    Raises:
-        InputError: missing or malformed, or a frame is beyond the drive's `frame_count`.
-    """
+    """Read tracklet_labels.xml or a tracking label file (any other suffix). Raises InputError:
+    missing or malformed, or a frame is beyond the drive's `frame_count`."""
     tracks = read_tracklets(path) if path.suffix == ".xml" else read_tracking_labels(path)
     for track in tracks:
         if track.frames[-1] >= frame_count:

@@ -47,25 +47,16 @@ MEND = "unpack the day's calibration archive again"
 
 @dataclass(frozen=True)
 class KittiDrive:
-    """Where one drive's files lie.
+    """Where one drive's files lie."""
 
-    Attributes:
-        name: "2011_09_26_drive_0013".
-        calibration: the day's folder with calib_*.txt.
-        folder: the drive's folder with image_02, velodyne_points, oxts.
-    """
-
-    name: str
-    calibration: Path
-    folder: Path
+    name: str  # "2011_09_26_drive_0013"
+    calibration: Path  # the day's folder with calib_*.txt
+    folder: Path  # the drive's folder with image_02, velodyne_points, oxts
 
 
 def find_drive(root: Path, drive: str) -> KittiDrive:
-    """Locate a synchronised drive under `root`.
-
-    Raises:
-        InputError: the folder or the drive does not exist, or only as recorded (_extract).
-    """
+    """Locate a synchronised drive under `root`. Raises InputError: the folder or the drive does not
+    exist, or only as recorded (_extract)."""
     if not root.is_dir():
         raise InputError(root, "KITTI folder", "does not exist", "check the path")
     name = drive.removesuffix("_sync").removesuffix("_extract")
@@ -85,17 +76,11 @@ def find_drive(root: Path, drive: str) -> KittiDrive:
 
 @dataclass(frozen=True)
 class SensorFiles:
-    """Frames of one sensor that exist on disk.
+    """Frames of one sensor that exist on disk."""
 
-    Attributes:
-        indices: (F,) frame numbers, ascending; gaps are normal.
-        timestamps_us: (F,) int64.
-        paths: F files.
-    """
-
-    indices: Int64Array
-    timestamps_us: Int64Array
-    paths: tuple[Path, ...]
+    indices: Int64Array  # (F,) frame numbers, ascending; gaps are normal
+    timestamps_us: Int64Array  # (F,) int64
+    paths: tuple[Path, ...]  # F files
 
 
 def list_frames(sensor: Path, *suffixes: str) -> SensorFiles:
@@ -173,11 +158,8 @@ def read_timestamps(path: Path) -> Int64Array:
 
 
 def read_numbers(path: Path) -> Array:
-    """All whitespace-separated numbers of a text file.
-
-    Raises:
-        InputError: missing, or something in it is not a number.
-    """
+    """All whitespace-separated numbers of a text file. Raises InputError: missing, or something in
+    it is not a number."""
     text = files.read_text(path, TEXT_LIMIT)
     try:
         return np.array([float(word) for word in words_of(text)])
@@ -188,20 +170,15 @@ def read_numbers(path: Path) -> Array:
 
 @dataclass(frozen=True)
 class KittiCalibration:
-    """Where the sensors sit on the car.
+    """Where the sensors sit on the car."""
 
-    Attributes:
-        rig_from_imu, rig_from_velodyne, rig_from_rectified: (4, 4); "rectified" is the rectified
-            frame of camera 0, in which tracking labels are given.
-        cameras: intrinsics of the rectified images by name ("image_02").
-        rig_from_camera: (4, 4) camera poses by name.
-    """
-
+    # rig_from_imu, rig_from_velodyne, rig_from_rectified: (4, 4); "rectified" is the rectified
+    # frame of camera 0, in which tracking labels are given.
     rig_from_imu: Array
     rig_from_velodyne: Array
     rig_from_rectified: Array
-    cameras: dict[str, PinholeCamera]
-    rig_from_camera: dict[str, Array]
+    cameras: dict[str, PinholeCamera]  # intrinsics of the rectified images by name ("image_02")
+    rig_from_camera: dict[str, Array]  # (4, 4) camera poses by name
 
     def seen_from(self, other_from_rig: Array) -> KittiCalibration:
         """The same mounting in another rig frame."""
@@ -331,17 +308,13 @@ HIGHEST = 10_000.0  # metres above the sea
 
 @dataclass(frozen=True)
 class VelodyneTurns:
-    """Sweeps of one drive that exist on disk.
+    """Sweeps of one drive that exist on disk."""
 
-    Attributes:
-        trigger_us, start_us, end_us: (S,) int64, facing forward, first and last firing.
-        paths: S files.
-    """
-
+    # trigger_us, start_us, end_us: (S,) int64, facing forward, first and last firing.
     trigger_us: Int64Array
     start_us: Int64Array
     end_us: Int64Array
-    paths: tuple[Path, ...]
+    paths: tuple[Path, ...]  # S files
 
     def select(self, kept: Sequence[int]) -> VelodyneTurns:
         """The turns of these places only."""
@@ -355,11 +328,8 @@ class VelodyneTurns:
 
 
 def list_turns(folder: Path) -> VelodyneTurns:
-    """List the sweeps in velodyne_points and check their sizes.
-
-    Raises:
-        InputError: no sweeps, one is cut off, or timestamps are missing or out of order.
-    """
+    """List the sweeps in velodyne_points and check their sizes. Raises InputError: no sweeps, one
+    is cut off, or timestamps are missing or out of order."""
     listed = list_frames(folder, ".bin")
     check_sweep_sizes(listed.paths)
     trigger, start, end = turn_times(folder)
@@ -400,11 +370,8 @@ def turn_times(folder: Path) -> tuple[Int64Array, Int64Array, Int64Array]:
 
 
 def _filled(path: Path) -> Int64Array:
-    """The times (F,) of a file, missing ones interpolated.
-
-    Raises:
-        InputError: see `read_timestamps`; or fewer than two lines have a time.
-    """
+    """The times (F,) of a file, missing ones interpolated. Raises InputError: see
+    `read_timestamps`; or fewer than two lines have a time."""
     times = read_timestamps(path)
     known = np.flatnonzero(times != MISSING)
     if len(known) == len(times):
@@ -419,11 +386,7 @@ def _filled(path: Path) -> Int64Array:
 
 
 def check_sweep_sizes(paths: Sequence[Path]) -> None:
-    """Check that sweep files hold whole points.
-
-    Raises:
-        InputError: one is empty or cut off.
-    """
+    """Check that sweep files hold whole points. Raises InputError: one is empty or cut off."""
     for path in paths:
         size = path.stat().st_size
         if size > SWEEP_LIMIT:
@@ -504,11 +467,8 @@ class VelodyneSweeps:
 
 
 def read_oxts(files: SensorFiles) -> Array:
-    """Packets (F, 30): latitude, longitude, altitude, roll, pitch, yaw, velocities and more.
-
-    Raises:
-        InputError: a packet has too few fields, is not finite, or the frames have a gap over 1 s.
-    """
+    """Packets (F, 30): latitude, longitude, altitude, roll, pitch, yaw, velocities and more. Raises
+    InputError: a packet has too few fields, is not finite, or the frames have a gap over 1 s."""
     packets = []
     for path in files.paths:
         values = read_numbers(path)

@@ -60,17 +60,12 @@ LONGEST_GAP_US = 1_000_000
 
 @dataclass(frozen=True)
 class Sensor:
-    """A camera or LiDAR of a scene.
-
-    Attributes:
-        kind: "camera" or "lidar".
-        frames: frames in the order of time.
-    """
+    """A camera or LiDAR of a scene."""
 
     name: str
-    kind: str
+    kind: str  # "camera" or "lidar"
     mount: CalibratedSensorRow
-    frames: list[SampleDataRow]
+    frames: list[SampleDataRow]  # frames in the order of time
 
 
 def read_sensors(
@@ -143,11 +138,8 @@ def _check_file(root: Path, path: Path, frame: SampleDataRow) -> None:
 
 
 def pose_of(path: Path, row: EgoPoseRow | CalibratedSensorRow | AnnotationRow) -> Array:
-    """The transform (4, 4) of a row's rotation (wxyz) and translation.
-
-    Raises:
-        InputError: the quaternion is not of unit length.
-    """
+    """The transform (4, 4) of a row's rotation (wxyz) and translation. Raises InputError: the
+    quaternion is not of unit length."""
     length = float(np.linalg.norm(row.rotation))
     if abs(length - 1.0) > _UNIT:
         problem = f"is not a rotation: the length of the quaternion is {length:.4g}, not 1"
@@ -157,10 +149,8 @@ def pose_of(path: Path, row: EgoPoseRow | CalibratedSensorRow | AnnotationRow) -
 
 def camera_of(tables: Path, row: CalibratedSensorRow, frames: list[SampleDataRow]) -> PinholeCamera:
     """Intrinsics of a camera whose images (undistorted by the dataset's makers) are `frames`.
-
-    Raises:
-        InputError: the camera has no intrinsics or impossible ones, or its images differ in size.
-    """
+    Raises InputError: the camera has no intrinsics or impossible ones, or its images differ in
+    size."""
     path = tables / "calibrated_sensor.json"
     field = f"token {row.token}: camera_intrinsic"
     matrix = row.camera_intrinsic
@@ -199,23 +189,14 @@ class NuScenesSweeps(Timed):
 
     Points are in the sensor's frame at the sweep's time, ego motion undone by the dataset's makers
     (Caesar et al., CVPR 2020), so no point has a time of its own.
-
-    Attributes:
-        timestamps_us: (S,) int64.
-        paths: S files of float32 x, y, z (metres), intensity (0 to 255), ring.
-        rig_from_lidar: (4, 4).
     """
 
-    timestamps_us: Int64Array
-    paths: tuple[Path, ...]
-    rig_from_lidar: Array
+    timestamps_us: Int64Array  # (S,) int64
+    paths: tuple[Path, ...]  # S files of float32 x, y, z (metres), intensity (0 to 255), ring
+    rig_from_lidar: Array  # (4, 4)
 
     def __getitem__(self, index: int) -> LidarSweep:
-        """Read sweep `index`.
-
-        Raises:
-            InputError: the file is empty, cut off or not finite.
-        """
+        """Read sweep `index`. Raises InputError: the file is empty, cut off or not finite."""
         path = self.paths[index]
         rows = read_points(path, POINT_FLOATS, slice(0, 3), [3], "download the file again")
         rows = rows[np.abs(rows[:, :2]).max(axis=1) > OWN_ROOF]

@@ -128,11 +128,8 @@ Table = TypeVar("Table", bound=NuscenesRow)
 
 
 def stream_rows(path: Path) -> Iterator[dict[str, Any]]:
-    """Rows of a table, one at a time.
-
-    Raises:
-        InputError: the file is missing, cut off, or no JSON list of objects.
-    """
+    """Rows of a table, one at a time. Raises InputError: the file is missing, cut off, or no JSON
+    list of objects."""
     if not path.is_file():
         raise InputError(path, "table", "is missing", _MEND)
     decoder = json.JSONDecoder()
@@ -167,10 +164,7 @@ def select(
     path: Path, model: type[Table], column: str = "token", values: Collection[str] | None = None
 ) -> list[Table]:
     """Rows whose `column` is one of `values` (any, where None), checked, in the file's order.
-
-    Raises:
-        InputError: see `stream_rows`; a column is missing or wrong.
-    """
+    Raises InputError: see `stream_rows`; a column is missing or wrong."""
     found = []
     for number, row in enumerate(stream_rows(path)):
         if not isinstance(row.get(column), str):
@@ -195,11 +189,8 @@ def linked(
     source: str,
     column: str,
 ) -> Mapping[str, Table]:
-    """Rows by token of `table`.json that `column` of `rows` (of `source`.json) names.
-
-    Raises:
-        InputError: see `select`; a token is not in the table.
-    """
+    """Rows by token of `table`.json that `column` of `rows` (of `source`.json) names. Raises
+    InputError: see `select`; a token is not in the table."""
     if not rows:  # a dataset without boxes needs no table of their kinds
         return {}
     wanted = {getattr(row, column) for row in rows}

@@ -46,12 +46,8 @@ gives the box only."""
 
 
 def load_scenario(path: Path, scenario: str | None, licence: str) -> DrivingLog:
-    """Read one scenario: `scenario`, or the only one in the file.
-
-    Raises:
-        InputError: the file is damaged, holds no such scenario or several, or fields are missing
-            or unknown.
-    """
+    """Read one scenario: `scenario`, or the only one in the file. Raises InputError: the file is
+    damaged, holds no such scenario or several, or fields are missing or unknown."""
     record = _choose(path, scenario)
     with record_errors(path, record.number):
         message = decode("Scenario", record.data)
@@ -227,11 +223,8 @@ def load_waymo2(
 
 
 def find_drive(root: Path, drive: str) -> tuple[Path, str | None]:
-    """The file of a drive, in `root` or one level below, and the scenario of FILE:SCENARIO.
-
-    Raises:
-        InputError: the folder or the file does not exist, or several files have the name.
-    """
+    """The file of a drive, in `root` or one level below, and the scenario of FILE:SCENARIO. Raises
+    InputError: the folder or the file does not exist, or several files have the name."""
     if not root.is_dir():
         raise InputError(root, "Waymo folder", "does not exist", "check the path")
     name, colon, scenario = drive.partition(":")

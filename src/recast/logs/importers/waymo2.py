@@ -65,17 +65,11 @@ _STATS = ["time_of_day", "location", "weather"]
 
 @dataclass(frozen=True)
 class WaymoRow:
-    """A row of a table; its values are checked when asked for, and raise FieldError.
+    """A row of a table; its values are checked when asked for, and raise FieldError."""
 
-    Attributes:
-        table: table that has the row.
-        index: index of the row, counted from 0.
-        values: values by column.
-    """
-
-    table: WaymoTable
-    index: int
-    values: Mapping[str, Any]
+    table: WaymoTable  # table that has the row
+    index: int  # index of the row, counted from 0
+    values: Mapping[str, Any]  # values by column
 
     @property
     def place(self) -> Place:
@@ -133,15 +127,10 @@ class WaymoRow:
 
 @dataclass(frozen=True)
 class WaymoTable:
-    """One component of a segment.
+    """One component of a segment."""
 
-    Attributes:
-        path: its file, named after the segment.
-        component: name of the component, as in the names of its columns.
-    """
-
-    path: Path
-    component: str
+    path: Path  # its file, named after the segment
+    component: str  # name of the component, as in the names of its columns
 
     def column(self, field: str) -> str:
         """The column of a field; keys are columns already."""
@@ -149,10 +138,7 @@ class WaymoTable:
 
     def rows(self, fields: Sequence[str]) -> Iterator[WaymoRow]:
         """All rows with the keys (`key.NAME`) and fields asked for, a thousand in memory at once.
-
-        Raises:
-            InputError: the file is none, lacks a column, or has rows of another segment.
-        """
+        Raises InputError: the file is none, lacks a column, or has rows of another segment."""
         columns = [SEGMENT, *(self.column(field) for field in fields)]
         file = ParquetRows(self.path, columns, MEND)
         if file.first_rows[-1] > ROW_LIMIT:
@@ -205,10 +191,7 @@ class Components:
 
 def find_segment(root: Path, drive: str) -> Components:
     """The segment `drive` in `root`, which holds the components or the splits that hold them.
-
-    Raises:
-        InputError: the folder or the segment does not exist, or is in several splits.
-    """
+    Raises InputError: the folder or the segment does not exist, or is in several splits."""
     if not root.is_dir():
         raise InputError(root, "Waymo v2 folder", "does not exist", "check the path")
     splits = [root, *sorted(path for path in root.iterdir() if path.is_dir())]
@@ -231,11 +214,8 @@ def find_segment(root: Path, drive: str) -> Components:
 
 
 def read_cameras(components: Components) -> dict[str, WaymoCamera]:
-    """Cameras by name; none where neither calibrations nor images were downloaded.
-
-    Raises:
-        InputError: the file is missing or damaged, or a calibration is wrong or there twice.
-    """
+    """Cameras by name; none where neither calibrations nor images were downloaded. Raises
+    InputError: the file is missing or damaged, or a calibration is wrong or there twice."""
     found: dict[str, WaymoCamera] = {}
     if not components.has("camera_calibration") and not components.has("camera_image"):
         return found
@@ -254,11 +234,8 @@ def read_cameras(components: Components) -> dict[str, WaymoCamera]:
 
 
 def read_lasers(components: Components) -> dict[str, LaserCalibration]:
-    """LiDARs by name; none where no range images were downloaded.
-
-    Raises:
-        InputError: the file is missing or damaged, or a calibration is wrong or there twice.
-    """
+    """LiDARs by name; none where no range images were downloaded. Raises InputError: the file is
+    missing or damaged, or a calibration is wrong or there twice."""
     found: dict[str, LaserCalibration] = {}
     if not components.has("lidar"):
         return found
@@ -453,11 +430,7 @@ class RowReader:
         self._row: pa.RecordBatch | None = None
 
     def cell(self, row: int, column: str) -> Any:
-        """The pyarrow scalar in a row (counted from 0).
-
-        Raises:
-            InputError: the file is damaged.
-        """
+        """The pyarrow scalar in a row (counted from 0). Raises InputError: the file is damaged."""
         first_rows = self._file.first_rows
         group = int(np.searchsorted(first_rows, row, side="right")) - 1
         if group != self._group or row < self._at:
@@ -486,11 +459,8 @@ class BytesCell:
     sealed: bool = False
 
     def read(self) -> bytes:
-        """The bytes.
-
-        Raises:
-            InputError: the file is damaged, or the cell is empty or holds something else.
-        """
+        """The bytes. Raises InputError: the file is damaged, or the cell is empty or holds
+        something else."""
         value = self.reader.cell(self.row, self.column).as_py()
         if value is None:
             raise self.place.error("is empty")
@@ -501,24 +471,17 @@ class BytesCell:
 
 @dataclass(frozen=True)
 class MatrixCell:
-    """A range image in two cells, FIELD.values and FIELD.shape; `StoredMatrix`.
-
-    Attributes:
-        shape: shape of the range image, as its cell has it.
-    """
+    """A range image in two cells, FIELD.values and FIELD.shape; `StoredMatrix`."""
 
     reader: RowReader
     place: Place
     row: int
     column: str
-    shape: tuple[int, ...]
+    shape: tuple[int, ...]  # shape of the range image, as its cell has it
 
     def read(self, channels: int) -> Float32Array:
-        """The (H, W, channels) float32 matrix.
-
-        Raises:
-            InputError: it is empty, damaged, or of another shape.
-        """
+        """The (H, W, channels) float32 matrix. Raises InputError: it is empty, damaged, or of
+        another shape."""
         cell = self.reader.cell(self.row, self.column)
         values = getattr(cell, "values", None)
         if values is None or len(values) == 0:

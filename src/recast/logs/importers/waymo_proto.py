@@ -218,10 +218,7 @@ class Message:
 
     def get(self, name: str, otherwise: Any = None) -> Any:
         """The value of a field, or `otherwise`; repeated numbers are an array, others a list.
-
-        Raises:
-            FieldError: an enumeration has an unknown value, or a text is none.
-        """
+        Raises FieldError: an enumeration has an unknown value, or a text is none."""
         repeated, kind, _ = self._fields[name]
         if not repeated and not self._data.HasField(name):
             return otherwise
@@ -245,11 +242,7 @@ class Message:
 
 
 def decode(kind: str, data: bytes, where: str = "") -> Message:
-    """The message `kind`, such as "Frame", that `data` are.
-
-    Raises:
-        FieldError: they are none.
-    """
+    """The message `kind`, such as "Frame", that `data` are. Raises FieldError: they are none."""
     try:
         return Message(_classes()[f"waymo.{kind}"].FromString(data), kind, where)
     except message.DecodeError:

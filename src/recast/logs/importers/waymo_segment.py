@@ -84,64 +84,42 @@ class StoredMatrix(Protocol):
 
 @dataclass(frozen=True)
 class WaymoCamera:
-    """One camera.
+    """One camera."""
 
-    Attributes:
-        camera: intrinsics, with the lens distortion.
-        rig_from_camera: (4, 4) pose of the OpenCV camera frame.
-        shutter: the direction in which the rolling shutter reads, as CAMERA calibrations name it.
-    """
-
-    camera: PinholeCamera
-    rig_from_camera: Array
-    shutter: str
+    camera: PinholeCamera  # intrinsics, with the lens distortion
+    rig_from_camera: Array  # (4, 4) pose of the OpenCV camera frame
+    shutter: str  # the direction in which the rolling shutter reads, as CAMERA calibrations name it
 
 
 @dataclass(frozen=True)
 class LaserCalibration:
-    """One LiDAR.
+    """One LiDAR."""
 
-    Attributes:
-        inclinations: (B,) radians, ascending, of each beam; empty where they are evenly spread.
-        lowest, highest: radians, ends of the field of view where evenly spread.
-        rig_from_lidar: (4, 4).
-    """
-
-    inclinations: Array
+    inclinations: Array  # (B,) radians, ascending, of each beam; empty where they are evenly spread
+    # lowest, highest: radians, ends of the field of view where evenly spread.
     lowest: float
     highest: float
-    rig_from_lidar: Array
+    rig_from_lidar: Array  # (4, 4)
 
 
 @dataclass(frozen=True)
 class ImageEntry:
-    """One image.
+    """One image."""
 
-    Attributes:
-        jpeg: its file, as it was encoded.
-        pose: (4, 4) `global_from_vehicle` at `time_us`.
-        time_us: time of the pose, about when the middle column was exposed.
-        first_us, last_us: middle of the exposure of the first and last column (or row) read.
-    """
-
-    jpeg: StoredBytes
-    pose: Array
-    time_us: int
+    jpeg: StoredBytes  # its file, as it was encoded
+    pose: Array  # (4, 4) `global_from_vehicle` at `time_us`
+    time_us: int  # time of the pose, about when the middle column was exposed
+    # first_us, last_us: middle of the exposure of the first and last column (or row) read.
     first_us: int
     last_us: int
 
 
 @dataclass(frozen=True)
 class LaserEntry:
-    """The range images of one LiDAR in one frame.
+    """The range images of one LiDAR in one frame."""
 
-    Attributes:
-        returns: first and, where there is one, second return.
-        pixel_poses: vehicle poses at the first return's pixels, or None.
-    """
-
-    returns: tuple[StoredMatrix, ...]
-    pixel_poses: StoredMatrix | None
+    returns: tuple[StoredMatrix, ...]  # first and, where there is one, second return
+    pixel_poses: StoredMatrix | None  # vehicle poses at the first return's pixels, or None
 
 
 @dataclass(frozen=True)
@@ -160,56 +138,38 @@ class LabelEntry:
 
 @dataclass(frozen=True)
 class FrameEntry:
-    """One frame.
+    """One frame."""
 
-    Attributes:
-        place: place where the frame is written.
-        start_us: time when the first column of the TOP LiDAR was scanned.
-        pose: (4, 4) `global_from_vehicle`, about the middle of the frame; labels and points are in
-            this vehicle frame.
-        images: images by camera name.
-        lasers: range images by LiDAR name.
-    """
-
-    place: Place
-    start_us: int
+    place: Place  # place where the frame is written
+    start_us: int  # time when the first column of the TOP LiDAR was scanned
+    # (4, 4) `global_from_vehicle`, about the middle of the frame; labels and points are in this
+    # vehicle frame.
     pose: Array
-    images: Mapping[str, ImageEntry]
-    lasers: Mapping[str, LaserEntry]
+    images: Mapping[str, ImageEntry]  # images by camera name
+    lasers: Mapping[str, LaserEntry]  # range images by LiDAR name
     labels: tuple[LabelEntry, ...]
 
 
 @dataclass(frozen=True)
 class MapFeatures:
-    """The map features of the first frame that has some.
+    """The map features of the first frame that has some."""
 
-    Attributes:
-        place: place of the frame.
-        offset: (3,) map coordinates = vehicle coordinates + this.
-    """
-
-    place: Place
+    place: Place  # place of the frame
     features: tuple[Message, ...]
-    offset: Array
+    offset: Array  # (3,) map coordinates = vehicle coordinates + this
 
 
 @dataclass(frozen=True)
 class Segment:
-    """A whole segment.
-
-    Attributes:
-        cameras, lasers: calibrations by name.
-        frames: frames in the order of time.
-        notes: where, when and in which weather, as far as it is known.
-        map: None where there is none: before v1.4.2, and in v2.
-    """
+    """A whole segment."""
 
     name: str
+    # cameras, lasers: calibrations by name.
     cameras: Mapping[str, WaymoCamera]
     lasers: Mapping[str, LaserCalibration]
-    frames: tuple[FrameEntry, ...]
-    notes: Mapping[str, str]
-    map: MapFeatures | None
+    frames: tuple[FrameEntry, ...]  # frames in the order of time
+    notes: Mapping[str, str]  # where, when and in which weather, as far as it is known
+    map: MapFeatures | None  # None where there is none: before v1.4.2, and in v2
 
 
 # Values of the Waymo dataset, checked; each version of the dataset has its own names for them.
@@ -226,11 +186,8 @@ the ego trajectory, which goes through the images and is continued by 0.15 s."""
 
 
 def rigid(values: Array, where: str) -> Array:
-    """Sixteen numbers, row by row, as a (4, 4) pose.
-
-    Raises:
-        FieldError: they are not 16 numbers, or no rotation and translation.
-    """
+    """Sixteen numbers, row by row, as a (4, 4) pose. Raises FieldError: they are not 16 numbers, or
+    no rotation and translation."""
     if len(values) != 16:
         raise FieldError(where, f"has {len(values)} numbers, not 16")
     pose: Array = values.reshape(4, 4).astype(np.float64)
@@ -242,11 +199,7 @@ def rigid(values: Array, where: str) -> Array:
 
 
 def frame_time(time_us: int, where: str) -> int:
-    """The time of a frame in microseconds.
-
-    Raises:
-        FieldError: no log can hold it.
-    """
+    """The time of a frame in microseconds. Raises FieldError: no log can hold it."""
     if not 0 <= time_us < checks.LATEST_US:
         raise FieldError(where, f"{time_us} is not a time in microseconds since 1970")
     return time_us
@@ -328,12 +281,9 @@ def image_entry(
 
 
 def label_entry(place: Place, label_id: str, category: str, box: Mapping[str, float]) -> LabelEntry:
-    """A label whose `box` has, by field, centre x, y, z, length, width, height and heading.
-
-    Raises:
-        FieldError: a number is none, a place is too far away, or a size is not positive or too
-            large.
-    """
+    """A label whose `box` has, by field, centre x, y, z, length, width, height and heading. Raises
+    FieldError: a number is none, a place is too far away, or a size is not positive or too
+    large."""
     shortest, longest = checks.BOX_SIDE
     for i, (field, value) in enumerate(box.items()):
         is_size = 3 <= i < 6
@@ -350,11 +300,8 @@ def placed_box(centre: Array, heading: float) -> Array:
 
 
 def shaped(values: ArrayLike, dims: Sequence[int], channels: int) -> Float32Array:
-    """The (H, W, channels) float32 matrix of numbers in a row.
-
-    Raises:
-        ValueError: there are not as many, the shape is another, or one is not finite.
-    """
+    """The (H, W, channels) float32 matrix of numbers in a row. Raises ValueError: there are not as
+    many, the shape is another, or one is not finite."""
     with np.errstate(over="ignore"):  # what becomes infinite is refused below
         numbers = np.asarray(values, np.float32)
     if len(dims) != 3 or dims[2] != channels or min(dims) < 1 or math.prod(dims) != len(numbers):

@@ -51,15 +51,10 @@ _POSE_CHANNELS = 6  # roll, pitch, yaw, x, y, z
 
 @dataclass(frozen=True)
 class WaymoImages:
-    """The images of one camera of a segment; an `EncodedImageSource`.
+    """The images of one camera of a segment; an `EncodedImageSource`."""
 
-    Attributes:
-        entries: images in the order of time.
-        camera: intrinsics, which tell the size that every image must have.
-    """
-
-    entries: tuple[ImageEntry, ...]
-    camera: PinholeCamera
+    entries: tuple[ImageEntry, ...]  # images in the order of time
+    camera: PinholeCamera  # intrinsics, which tell the size that every image must have
 
     def __len__(self) -> int:
         """Number of frames."""
@@ -70,11 +65,8 @@ class WaymoImages:
         return self._decode(index, self.entries[index].jpeg.read())
 
     def encoded(self, index: int) -> tuple[bytes, str]:
-        """What `stored` makes of the JPEG, decoded once if no checksum vouches for it.
-
-        Raises:
-            InputError: it is no JPEG, or of another size than the calibration says.
-        """
+        """What `stored` makes of the JPEG, decoded once if no checksum vouches for it. Raises
+        InputError: it is no JPEG, or of another size than the calibration says."""
         jpeg = self.entries[index].jpeg
         data = jpeg.read()
         if not jpeg.sealed:
@@ -100,11 +92,8 @@ class WaymoImages:
 
 
 def read_cameras(segment: Segment) -> dict[str, CameraStream]:
-    """The cameras of a segment by name; those without images keep their calibration.
-
-    Raises:
-        InputError: a calibration is missing, or images of a camera are out of order.
-    """
+    """The cameras of a segment by name; those without images keep their calibration. Raises
+    InputError: a calibration is missing, or images of a camera are out of order."""
     for frame in segment.frames:
         for name, image in frame.images.items():
             if name not in segment.cameras:
@@ -143,11 +132,8 @@ def shutter_notes(segment: Segment) -> Mapping[str, str]:
 
 
 def beams(calibration: LaserCalibration, rows: int) -> Array:
-    """Inclinations (rows,) of the rows of a range image, the highest first.
-
-    Raises:
-        ValueError: there are as many beams as rows in no way.
-    """
+    """Inclinations (rows,) of the rows of a range image, the highest first. Raises ValueError:
+    there are as many beams as rows in no way."""
     listed = calibration.inclinations
     if len(listed):
         if len(listed) != rows:
@@ -211,29 +197,18 @@ def range_image_points(
 
 @dataclass(frozen=True)
 class WaymoSweeps(Timed):
-    """The sweeps of one LiDAR of a segment, both returns, read on demand.
+    """The sweeps of one LiDAR of a segment, both returns, read on demand."""
 
-    Attributes:
-        name: name of the LiDAR.
-        frames: frames that have this LiDAR.
-        timestamps_us: (S,) times of the sweeps in microseconds.
-        calibration: calibration of this LiDAR.
-        rig_from_vehicle: (S, 4, 4) transforms from the frame's vehicle frame to the rig's at the
-            sweep's time.
-    """
-
-    name: str
-    frames: tuple[FrameEntry, ...]
-    timestamps_us: Int64Array
-    calibration: LaserCalibration
+    name: str  # name of the LiDAR
+    frames: tuple[FrameEntry, ...]  # frames that have this LiDAR
+    timestamps_us: Int64Array  # (S,) times of the sweeps in microseconds
+    calibration: LaserCalibration  # calibration of this LiDAR
+    # (S, 4, 4) transforms from the frame's vehicle frame to the rig's at the sweep's time.
     rig_from_vehicle: Array
 
     def __getitem__(self, index: int) -> LidarSweep:
-        """Decode sweep `index`: first returns, then second ones.
-
-        Raises:
-            InputError: a range image is damaged, empty, or does not fit the calibration.
-        """
+        """Decode sweep `index`: first returns, then second ones. Raises InputError: a range image
+        is damaged, empty, or does not fit the calibration."""
         frame = self.frames[index]
         laser = frame.lasers[self.name]
         images = [part.read(_CHANNELS) for part in laser.returns]

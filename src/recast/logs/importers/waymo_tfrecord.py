@@ -60,17 +60,11 @@ _LARGEST = 1 << 24
 
 @dataclass(frozen=True)
 class TfRecord:
-    """One record.
+    """One record."""
 
-    Attributes:
-        number: number of the record, counted from 0.
-        offset: offset of the data in the file, bytes.
-        data: data as stored.
-    """
-
-    number: int
-    offset: int
-    data: bytes
+    number: int  # number of the record, counted from 0
+    offset: int  # offset of the data in the file, bytes
+    data: bytes  # data as stored
 
 
 def masked_crc(data: bytes) -> int:
@@ -80,11 +74,8 @@ def masked_crc(data: bytes) -> int:
 
 
 def read_records(path: Path) -> Iterator[TfRecord]:
-    """All records of a file in order, both checksums of each compared.
-
-    Raises:
-        InputError: no such file, not a TFRecord, a record cut off or damaged, or none at all.
-    """
+    """All records of a file in order, both checksums of each compared. Raises InputError: no such
+    file, not a TFRecord, a record cut off or damaged, or none at all."""
     if not path.is_file():
         raise InputError(path, "TFRecord file", "does not exist", "check the path")
     size, number = path.stat().st_size, 0
@@ -141,11 +132,8 @@ def _read_record(path: Path, file: BinaryIO, size: int, number: int) -> TfRecord
 
 def read_segment(path: Path) -> Segment:
     """Go through a segment once, checking every checksum; no more than a record is in memory.
-
-    Raises:
-        InputError: the file is damaged, a field is missing or unknown, frames are of several
-            segments or out of order.
-    """
+    Raises InputError: the file is damaged, a field is missing or unknown, frames are of several
+    segments or out of order."""
     frames: list[FrameEntry] = []
     context: Message | None = None
     map_features: MapFeatures | None = None
@@ -289,19 +277,12 @@ def _map_offset(message: Message) -> Array:
 
 @dataclass(frozen=True)
 class FilePart:
-    """Bytes of a file; `StoredBytes`.
+    """Bytes of a file; `StoredBytes`."""
 
-    Attributes:
-        place: place of the bytes, for messages.
-        offset: offset in the file, bytes.
-        size: number of bytes.
-        sealed: the record's checksum has been compared.
-    """
-
-    place: Place
-    offset: int
-    size: int
-    sealed: bool = True
+    place: Place  # place of the bytes, for messages
+    offset: int  # offset in the file, bytes
+    size: int  # number of bytes
+    sealed: bool = True  # the record's checksum has been compared
 
     def read(self) -> bytes:
         """The bytes."""
@@ -322,11 +303,8 @@ class PackedMatrix:
         return self.part.place
 
     def read(self, channels: int) -> Float32Array:
-        """The (H, W, channels) float32 matrix.
-
-        Raises:
-            InputError: it is empty, damaged, or of another shape.
-        """
+        """The (H, W, channels) float32 matrix. Raises InputError: it is empty, damaged, or of
+        another shape."""
         if self.part.size == 0:
             raise self.place.error("is empty")
         try:

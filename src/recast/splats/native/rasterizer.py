@@ -85,11 +85,8 @@ def run_forward(
     meta: RasterMeta,
     training: bool,
 ) -> tuple[Tensor, Tensor, Tensor]:
-    """One forward pass: rgb, depth, alpha; `meta` is filled in.
-
-    Raises:
-        ValueError: a Gaussian is not finite or degenerate.
-    """
+    """One forward pass: rgb, depth, alpha; `meta` is filled in. Raises ValueError: a Gaussian is
+    not finite or degenerate."""
     means, quats, log_scales, logits, sh = parameters
     images = _images(settings)
     view = _view(settings, background, images)

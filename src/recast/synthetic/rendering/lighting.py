@@ -187,15 +187,10 @@ LEAST_SUPPORT = np.float32(0.9)
 
 @dataclass(frozen=True)
 class Light:
-    """What arrives at N points.
+    """What arrives at N points."""
 
-    Attributes:
-        sun: (N,) share of the sun's disc that is seen.
-        sky: (N, 3) irradiance of everything else, divided by pi.
-    """
-
-    sun: Float32Array
-    sky: Float32Array
+    sun: Float32Array  # (N,) share of the sun's disc that is seen
+    sky: Float32Array  # (N, 3) irradiance of everything else, divided by pi
 
 
 def sample_light(

@@ -97,11 +97,8 @@ def _libraries() -> list[str]:
 
 
 def path_light(light: SkyLight, points: SurfacePoints, rng: np.random.Generator) -> Float32Array:
-    """Irradiance over pi (N, 3) of all but the sun's own rays at N points.
-
-    Raises:
-        InputError: mitsuba is not installed, or does not run here.
-    """
+    """Irradiance over pi (N, 3) of all but the sun's own rays at N points. Raises InputError:
+    mitsuba is not installed, or does not run here."""
     mitsuba = _mitsuba()
     count = len(points) * SAMPLES
     if not count:

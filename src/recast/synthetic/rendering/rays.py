@@ -262,11 +262,8 @@ class FaceAttributes:
         self.flat_normals = np.concatenate(flat)[:, 0].copy()
 
     def with_surfaces(self, changed: Mapping[int, Surface]) -> FaceAttributes:
-        """The attributes with other surfaces, of as many faces, in the places of some.
-
-        Raises:
-            ValueError: a surface has another number of faces than the one in its place.
-        """
+        """The attributes with other surfaces, of as many faces, in the places of some. Raises
+        ValueError: a surface has another number of faces than the one in its place."""
         places, parts = list(changed), FaceAttributes([*changed.values()])
         found = copy(self)
         for name in ("corner_normals", "flat_normals", "colours", "materials"):
@@ -320,11 +317,8 @@ class RayScene:
         self.attributes = FaceAttributes([static, *(models[name] for name in self.names)])
 
     def with_models(self, changed: Mapping[str, Surface]) -> RayScene:
-        """The same scene in which some models have another shape, of as many faces.
-
-        Raises:
-            ValueError: a name is not among the models, or a shape has another number of faces.
-        """
+        """The same scene in which some models have another shape, of as many faces. Raises
+        ValueError: a name is not among the models, or a shape has another number of faces."""
         unknown = sorted(set(changed) - set(self.names))
         if unknown:
             raise ValueError(f"changed: {unknown} not among the models {list(self.names)}")
@@ -340,10 +334,7 @@ class RayScene:
 
     def posed(self, poses: Poses) -> PosedScene:
         """The scene with the models named in `poses` at `world_from_actor` (4, 4), others absent.
-
-        Raises:
-            ValueError: a name is not among the models.
-        """
+        Raises ValueError: a name is not among the models."""
         return PosedScene(self, poses)
 
     def cast(self, origins: ArrayLike, directions: ArrayLike, poses: Poses) -> Hits:

@@ -136,15 +136,10 @@ class LightSums:
 
 @dataclass(frozen=True)
 class Seen:
-    """What the camera's own rays meet; light and reflections meet all of the scene.
+    """What the camera's own rays meet; light and reflections meet all of the scene."""
 
-    Attributes:
-        posed: the scene with the models that are seen.
-        street: whether what never moves is seen.
-    """
-
-    posed: PosedScene
-    street: bool
+    posed: PosedScene  # the scene with the models that are seen
+    street: bool  # whether what never moves is seen
 
     def cast(self, origins: Float32Array, directions: Float32Array) -> Hits:
         """First hits of the camera's rays."""

@@ -67,15 +67,10 @@ def spectral_noise(
 
 @dataclass(frozen=True)
 class Pattern:
-    """One period of a pattern.
+    """One period of a pattern."""
 
-    Attributes:
-        metres: side of the period.
-        image: (SIZE, SIZE, 3) factors.
-    """
-
-    metres: float
-    image: Float32Array
+    metres: float  # side of the period
+    image: Float32Array  # (SIZE, SIZE, 3) factors
 
 
 def fine_patterns() -> dict[str, Pattern]:
@@ -299,27 +294,16 @@ TABLE = SimpleNamespace(
 
 @dataclass
 class SurfacePoints:
-    """N points on surfaces; arrays of length N, world frame.
+    """N points on surfaces; arrays of length N, world frame."""
 
-    Attributes:
-        position: (N, 3) float32.
-        view: (N, 3) unit direction of the ray that came here.
-        distance: (N,) distance along that ray.
-        flat: (N, 3) unit normal of the face, turned to the viewer.
-        normal: (N, 3) unit shading normal, turned to the viewer.
-        colour: (N, 3) diffuse colour, before any texture.
-        material: (N,) index into `MATERIALS`.
-        instance: (N,) instance, see `Hits`.
-    """
-
-    position: Float32Array
-    view: Float32Array
-    distance: Float32Array
-    flat: Float32Array
-    normal: Float32Array
-    colour: Float32Array
-    material: NDArray[np.uint8]
-    instance: NDArray[np.uint16]
+    position: Float32Array  # (N, 3) float32
+    view: Float32Array  # (N, 3) unit direction of the ray that came here
+    distance: Float32Array  # (N,) distance along that ray
+    flat: Float32Array  # (N, 3) unit normal of the face, turned to the viewer
+    normal: Float32Array  # (N, 3) unit shading normal, turned to the viewer
+    colour: Float32Array  # (N, 3) diffuse colour, before any texture
+    material: NDArray[np.uint8]  # (N,) index into `MATERIALS`
+    instance: NDArray[np.uint16]  # (N,) instance, see `Hits`
     posed: PosedScene
 
     @cached_property

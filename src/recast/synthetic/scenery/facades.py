@@ -15,46 +15,30 @@ Colour = tuple[float, float, float]
 
 @dataclass(frozen=True)
 class FacadeLook:
-    """Colours and habits shared by all openings of a facade.
+    """Colours and habits shared by all openings of a facade."""
 
-    Attributes:
-        wall: colour of the wall around them.
-        wall_material: material of that wall.
-        frame: colour of window frames.
-        trim: colour of sills and surrounds.
-        door: colour of doors.
-        reveal: metres that glass lies behind the wall.
-        lights: panes across and up of a window.
-        surround: metres of the band round windows, 0 for none.
-        blinds: share of windows with a blind or curtain half down.
-        lean: draws simpler frames, for facades of very many windows.
-    """
-
-    wall: Colour
-    wall_material: str
-    frame: Colour = (0.66, 0.66, 0.63)
-    trim: Colour = (0.5, 0.48, 0.44)
-    door: Colour = (0.08, 0.05, 0.035)
-    reveal: float = 0.14
-    lights: tuple[int, int] = (2, 1)
-    surround: float = 0.0
-    blinds: float = 0.35
-    lean: bool = False
+    wall: Colour  # colour of the wall around them
+    wall_material: str  # material of that wall
+    frame: Colour = (0.66, 0.66, 0.63)  # colour of window frames
+    trim: Colour = (0.5, 0.48, 0.44)  # colour of sills and surrounds
+    door: Colour = (0.08, 0.05, 0.035)  # colour of doors
+    reveal: float = 0.14  # metres that glass lies behind the wall
+    lights: tuple[int, int] = (2, 1)  # panes across and up of a window
+    surround: float = 0.0  # metres of the band round windows, 0 for none
+    blinds: float = 0.35  # share of windows with a blind or curtain half down
+    lean: bool = False  # draws simpler frames, for facades of very many windows
 
 
 @dataclass(frozen=True)
 class Opening:
-    """A hole in a wall, metres along it and above the ground.
+    """A hole in a wall, metres along it and above the ground."""
 
-    Attributes:
-        left, right, low, high: its edges.
-        kind: "window", "door", "shutter" or "none" (an open hole that the caller fills).
-    """
-
+    # left, right, low, high: its edges.
     left: float
     right: float
     low: float
     high: float
+    # "window", "door", "shutter" or "none" (an open hole that the caller fills).
     kind: str = "window"
 
 

@@ -28,14 +28,10 @@ _SIDE_SPEED = 8.3
 
 @dataclass(frozen=True)
 class JunctionArm:
-    """A road's end at a junction.
-
-    Attributes:
-        at_end: its forward lanes enter the junction; else its backward lanes do.
-    """
+    """A road's end at a junction."""
 
     road: Road
-    at_end: bool
+    at_end: bool  # its forward lanes enter the junction; else its backward lanes do
 
     def incoming(self) -> list[str]:
         """Ids of lanes that enter the junction, from the middle outwards."""
@@ -152,11 +148,8 @@ class StreetNetwork:
             self.connect(f"{stem}-right", sources[-1], targets[-1], right_reach)
 
     def route(self, start: str, goal: str) -> tuple[str, ...]:
-        """Ids of the lanes from start to goal, the fewest.
-
-        Raises:
-            ValueError: the goal cannot be reached.
-        """
+        """Ids of the lanes from start to goal, the fewest. Raises ValueError: the goal cannot be
+        reached."""
         chains: deque[tuple[str, ...]] = deque([(start,)])
         met = {start}
         while chains:
@@ -191,18 +184,13 @@ def _width(lane: Lane, k: int) -> float:
 
 @dataclass(frozen=True)
 class Tee:
-    """A road, and one that joins it from the side.
+    """A road, and one that joins it from the side."""
 
-    Attributes:
-        network: roads and lanes.
-        main, ahead: the through road before and after the junction, on one line.
-        side: road that leads away from the junction.
-    """
-
-    network: StreetNetwork
+    network: StreetNetwork  # roads and lanes
+    # main, ahead: the through road before and after the junction, on one line.
     main: Road
     ahead: Road
-    side: Road
+    side: Road  # road that leads away from the junction
 
     def route(self, index: int) -> tuple[str, ...]:
         """Straight through, on lane `index` (1 is the innermost)."""
@@ -371,24 +359,16 @@ class Markings:
 
 @dataclass(frozen=True)
 class RoadPaint:
-    """Lines of a road.
+    """Lines of a road."""
 
-    Attributes:
-        centre: kind of the centre line, between the directions.
-        edges: solid lines along the outer edges of the lanes.
-        yellow: the centre line is yellow.
-        solid: metres before `start` and `end` arms in which dividers are not broken.
-        dash, gap: lengths in metres of the dashes and gaps of broken lines.
-        bays: ticks between parking spots.
-    """
-
-    centre: CentreLine = "dashed"
-    edges: bool = True
-    yellow: bool = False
-    solid: float = 22.0
+    centre: CentreLine = "dashed"  # kind of the centre line, between the directions
+    edges: bool = True  # solid lines along the outer edges of the lanes
+    yellow: bool = False  # the centre line is yellow
+    solid: float = 22.0  # metres before `start` and `end` arms in which dividers are not broken
+    # dash, gap: lengths in metres of the dashes and gaps of broken lines.
     dash: float = 3.0
     gap: float = 6.0
-    bays: bool = True
+    bays: bool = True  # ticks between parking spots
 
 
 def paint_road(site: Site, road: Road, paint: RoadPaint, solid_ends: tuple[bool, bool]) -> None:

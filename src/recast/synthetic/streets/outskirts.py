@@ -304,23 +304,15 @@ SPEED = 11.1
 
 @dataclass(frozen=True)
 class Roundabout:
-    """A roundabout and its roads.
+    """A roundabout and its roads."""
 
-    Attributes:
-        network: roads and lanes.
-        arms: its roads; the one named "main" ends here, all others begin here.
-        centre: x, y.
-        radius: radius of the ring's middle.
-        spokes: name, angle seen from the centre, and length of each road.
-        splitters: islands between the directions of each road.
-    """
-
-    network: StreetNetwork
-    arms: tuple[Road, ...]
-    centre: tuple[float, float]
-    radius: float
+    network: StreetNetwork  # roads and lanes
+    arms: tuple[Road, ...]  # its roads; the one named "main" ends here, all others begin here
+    centre: tuple[float, float]  # x, y
+    radius: float  # radius of the ring's middle
+    # name, angle seen from the centre, and length of each road.
     spokes: tuple[tuple[str, float, float], ...]
-    splitters: tuple[shapely.Polygon, ...]
+    splitters: tuple[shapely.Polygon, ...]  # islands between the directions of each road
 
     @property
     def island_radius(self) -> float:

@@ -23,23 +23,17 @@ _SOFT = ((0.48, 0.93), (0.34, 0.87), (0.18, 0.83))
 
 @dataclass(frozen=True)
 class Section:
-    """What lies across a road, from the reference line outwards; traffic keeps right.
+    """What lies across a road, from the reference line outwards; traffic keeps right."""
 
-    Attributes:
-        forward, backward: lanes along and against the line (right and left of it).
-        lane_width: metres.
-        median: metres between the two directions.
-        parking_right, parking_left: metres of the parking lane, 0 for none.
-        edge: metres between the outermost lane (or parking) and the kerb.
-    """
-
+    # forward, backward: lanes along and against the line (right and left of it).
     forward: int
     backward: int
-    lane_width: float = 3.4
-    median: float = 0.0
+    lane_width: float = 3.4  # metres
+    median: float = 0.0  # metres between the two directions
+    # parking_right, parking_left: metres of the parking lane, 0 for none.
     parking_right: float = 0.0
     parking_left: float = 0.0
-    edge: float = 0.3
+    edge: float = 0.3  # metres between the outermost lane (or parking) and the kerb
 
     def lane(self, index: int) -> tuple[float, float]:
         """Lateral of the edges of a lane: inner, outer.
@@ -64,28 +58,19 @@ class Section:
 
 @dataclass(frozen=True)
 class Road:
-    """A section along a part of a reference line.
+    """A section along a part of a reference line."""
 
-    Attributes:
-        name: first part of its lane ids.
-        line: reference line, in the direction of the forward lanes.
-        section: what lies across.
-        start, end: arc lengths between which there are lanes.
-        speed_limit: m/s.
-        paved: arc lengths between which there is asphalt, (start, end) or beyond.
-        spread: (arc length, metres) knots; both directions move apart by that much to each side.
-        block: metres that a lane segment is long, about.
-    """
-
-    name: str
-    line: ReferenceLine
-    section: Section
+    name: str  # first part of its lane ids
+    line: ReferenceLine  # reference line, in the direction of the forward lanes
+    section: Section  # what lies across
+    # start, end: arc lengths between which there are lanes.
     start: float
     end: float
-    speed_limit: float
-    paved: tuple[float, float]
+    speed_limit: float  # m/s
+    paved: tuple[float, float]  # arc lengths between which there is asphalt, (start, end) or beyond
+    # (arc length, metres) knots; both directions move apart by that much to each side.
     spread: tuple[tuple[float, float], ...] = ()
-    block: float = 45.0
+    block: float = 45.0  # metres that a lane segment is long, about
 
     def point(self, s: ArrayLike, lateral: ArrayLike, side: int | None = None) -> Array:
         """World points (..., 2) at road coordinates (...), `lateral` to the left.
@@ -194,19 +179,14 @@ def make_lane(
 
 @dataclass(frozen=True)
 class Wear:
-    """How worn a road is.
+    """How worn a road is."""
 
-    Attributes:
-        colour: linear RGB of the asphalt.
-        patches, cracks, covers: number of each in a hundred metres of lane.
-        tracks: 1 shows plain wheel tracks, 0 none.
-    """
-
-    colour: tuple[float, float, float] = (0.115, 0.115, 0.118)
+    colour: tuple[float, float, float] = (0.115, 0.115, 0.118)  # linear RGB of the asphalt
+    # patches, cracks, covers: number of each in a hundred metres of lane.
     patches: float = 3.0
     cracks: float = 9.0
     covers: float = 2.5
-    tracks: float = 1.0
+    tracks: float = 1.0  # 1 shows plain wheel tracks, 0 none
 
 
 def wear_road(decals: Decals, road: Road, wear: Wear, rng: Generator) -> None:

@@ -31,17 +31,11 @@ class Pose(NamedTuple):
 
 @dataclass(frozen=True)
 class ReferenceLine:
-    """A densely sampled curve with exact headings, so that offset curves meet without gaps.
+    """A densely sampled curve with exact headings, so that offset curves meet without gaps."""
 
-    Attributes:
-        arc_lengths: (N,) metres from 0.
-        points: (N, 2) metres.
-        headings: (N,) radians, continuous.
-    """
-
-    arc_lengths: Array
-    points: Array
-    headings: Array
+    arc_lengths: Array  # (N,) metres from 0
+    points: Array  # (N, 2) metres
+    headings: Array  # (N,) radians, continuous
 
     @classmethod
     def from_bends(
@@ -297,34 +291,21 @@ GRAVEL: Cover = ((0.26, 0.24, 0.21), "soil")
 
 @dataclass(frozen=True)
 class Band:
-    """A strip along the asphalt's edge.
+    """A strip along the asphalt's edge."""
 
-    Attributes:
-        width: metres.
-        cover: cover of the strip.
-        height: z at its outer edge, metres.
-    """
-
-    width: float
-    cover: Cover
-    height: float = KERB_HEIGHT
+    width: float  # metres
+    cover: Cover  # cover of the strip
+    height: float = KERB_HEIGHT  # z at its outer edge, metres
 
 
 @dataclass(frozen=True)
 class Edge:
-    """What lies beside the asphalt.
+    """What lies beside the asphalt."""
 
-    Attributes:
-        kerb: whether a kerb stone comes first.
-        bands: strips from the asphalt outwards.
-        land: cover from there to the horizon.
-        hills: height of the hills far off, metres.
-    """
-
-    kerb: bool
-    bands: tuple[Band, ...]
-    land: Cover
-    hills: float = 12.0
+    kerb: bool  # whether a kerb stone comes first
+    bands: tuple[Band, ...]  # strips from the asphalt outwards
+    land: Cover  # cover from there to the horizon
+    hills: float = 12.0  # height of the hills far off, metres
 
     @property
     def width(self) -> float:
@@ -340,34 +321,21 @@ class Edge:
 
 @dataclass(frozen=True)
 class Island:
-    """A raised area within the asphalt.
+    """A raised area within the asphalt."""
 
-    Attributes:
-        outline: its kerb's face.
-        cover: cover of its top.
-    """
-
-    outline: shapely.Polygon
-    cover: Cover = PAVING
+    outline: shapely.Polygon  # its kerb's face
+    cover: Cover = PAVING  # cover of its top
 
 
 @dataclass(frozen=True)
 class Ground:
-    """The shape of the ground.
+    """The shape of the ground."""
 
-    Attributes:
-        asphalt: area from kerb to kerb, without islands.
-        filled: the asphalt with its islands.
-        islands: raised areas.
-        edge: what lies beside.
-        colour: colour of the asphalt.
-    """
-
-    asphalt: shapely.Geometry
-    filled: shapely.Geometry
-    islands: tuple[Island, ...]
-    edge: Edge
-    colour: Colour
+    asphalt: shapely.Geometry  # area from kerb to kerb, without islands
+    filled: shapely.Geometry  # the asphalt with its islands
+    islands: tuple[Island, ...]  # raised areas
+    edge: Edge  # what lies beside
+    colour: Colour  # colour of the asphalt
 
     @classmethod
     def make(

@@ -45,19 +45,12 @@ RUN_OUT = 200.0
 
 @dataclass(frozen=True)
 class Prop:
-    """A thing that may stand somewhere, with its outlines seen from above in its own frame.
+    """A thing that may stand somewhere, with its outlines seen from above in its own frame."""
 
-    Attributes:
-        surface: surface of the prop, as the scenery functions give it.
-        foot: hull of what reaches below the height of a van.
-        low: hull of what reaches below the headroom.
-        whole: hull of all.
-    """
-
-    surface: Surface
-    foot: shapely.Geometry
-    low: shapely.Geometry
-    whole: shapely.Geometry
+    surface: Surface  # surface of the prop, as the scenery functions give it
+    foot: shapely.Geometry  # hull of what reaches below the height of a van
+    low: shapely.Geometry  # hull of what reaches below the headroom
+    whole: shapely.Geometry  # hull of all
 
     @classmethod
     def of(cls, surface: Surface) -> Prop:
@@ -143,27 +136,16 @@ class Placer:
 
 @dataclass(frozen=True)
 class StreetLayout:
-    """Roads of a scene, before anything stands on them.
+    """Roads of a scene, before anything stands on them."""
 
-    Attributes:
-        network: roads and lanes.
-        route: ids of the ego's lanes.
-        speed: m/s of the ego on a free road.
-        edge: what lies beside the asphalt.
-        fillet: radius of kerbs at corners, metres.
-        islands: raised areas.
-        wear: wear of the asphalt.
-        paved: asphalt besides the roads' and lanes' own.
-    """
-
-    network: StreetNetwork
-    route: tuple[str, ...]
-    speed: float
-    edge: Edge
-    fillet: float = 7.0
-    islands: tuple[Island, ...] = ()
-    wear: Wear = field(default_factory=Wear)
-    paved: tuple[shapely.Geometry, ...] = ()
+    network: StreetNetwork  # roads and lanes
+    route: tuple[str, ...]  # ids of the ego's lanes
+    speed: float  # m/s of the ego on a free road
+    edge: Edge  # what lies beside the asphalt
+    fillet: float = 7.0  # radius of kerbs at corners, metres
+    islands: tuple[Island, ...] = ()  # raised areas
+    wear: Wear = field(default_factory=Wear)  # wear of the asphalt
+    paved: tuple[shapely.Geometry, ...] = ()  # asphalt besides the roads' and lanes' own
 
 
 class Site:
@@ -298,22 +280,15 @@ class Site:
 
 @dataclass(frozen=True)
 class Frontage:
-    """A row of buildings.
+    """A row of buildings."""
 
-    Attributes:
-        style: see `scenery.building`.
-        away: metres from the kerb to the facades; a range.
-        width, depth: metres; ranges.
-        gap: metres between buildings; a range.
-        storeys: a range, or None to leave it to the style.
-    """
-
-    style: str
-    away: tuple[float, float]
+    style: str  # see `scenery.building`
+    away: tuple[float, float]  # metres from the kerb to the facades; a range
+    # width, depth: metres; ranges.
     width: tuple[float, float]
     depth: tuple[float, float]
-    gap: tuple[float, float] = (0.0, 0.0)
-    storeys: tuple[int, int] | None = None
+    gap: tuple[float, float] = (0.0, 0.0)  # metres between buildings; a range
+    storeys: tuple[int, int] | None = None  # a range, or None to leave it to the style
 
 
 def build_along(

@@ -209,21 +209,13 @@ Parts = list[tuple[str, Surface]]
 
 @dataclass(frozen=True)
 class SideGlass:
-    """The outline of the side windows in the side view.
+    """The outline of the side windows in the side view."""
 
-    Attributes:
-        rear: x at the belt line where the glass ends.
-        rear_lean: metres that the rear end moves forward per metre of height.
-        pillar: width of the windscreen pillar and the roof rail above the glass.
-        sill: height of the lower edge over the belt line.
-        tall: greatest height of the glass over the belt line.
-    """
-
-    rear: float
-    rear_lean: float
-    pillar: float = 0.1
-    sill: float = 0.015
-    tall: float = 2.0
+    rear: float  # x at the belt line where the glass ends
+    rear_lean: float  # metres that the rear end moves forward per metre of height
+    pillar: float = 0.1  # width of the windscreen pillar and the roof rail above the glass
+    sill: float = 0.015  # height of the lower edge over the belt line
+    tall: float = 2.0  # greatest height of the glass over the belt line
 
     def field(self, body: LoftedBody, solid: Solid) -> Array:
         """Negative inside."""

@@ -23,15 +23,10 @@ WAIST = 0.58
 
 @dataclass(frozen=True)
 class LoftProfile:
-    """A height over a station, piecewise linear at a few millimetres.
+    """A height over a station, piecewise linear at a few millimetres."""
 
-    Attributes:
-        stations: (N,) increasing, metres.
-        heights: (N,) metres.
-    """
-
-    stations: Array
-    heights: Array
+    stations: Array  # (N,) increasing, metres
+    heights: Array  # (N,) metres
 
     @classmethod
     def rounded(cls, corners: Sequence[tuple[float, float, float]], steps: int = 12) -> LoftProfile:
@@ -79,54 +74,36 @@ class LoftProfile:
 
 @dataclass(frozen=True)
 class LoftedBody:
-    """The shape of one body; heights above the ground, x from the middle of the body.
+    """The shape of one body; heights above the ground, x from the middle of the body."""
 
-    Attributes:
-        length, width: metres.
-        top: upper outline over the station (metres behind the front end).
-        bottom: height of the sill and the floor.
-        rise: how far the floor rises towards both ends.
-        belt: height of the belt line at x = 0.
-        wedge: rise of the belt line per metre towards the rear.
-        tumblehome: lean above the belt line, radians.
-        shoulder: width of the ledge at the belt line.
-        crown: fall of roof and bonnet from the middle to the sides.
-        wrap, wrap_rear: how far windscreen and rear window stand before their outer edges.
-        bow_front, bow_rear: how far the ends' middle stands out.
-        lean_front, lean_rear: how far the ends fall back from the bumper to the top.
-        corner: radius of the upright edges in plan.
-        taper: share of the half width lost at the ends.
-        edge: radius of the upper edges in the cross-section.
-        arches: (x, z, radius) of each wheel arch.
-        flare: how far the arches' lips stand out.
-        crease: depth of the line along the side.
-        bumper: height of the foremost point.
-        cells: numbers of cells along x, across half the width, up the side.
-    """
-
+    # length, width: metres.
     length: float
     width: float
-    top: LoftProfile
-    bottom: float
-    belt: float
-    rise: float = 0.04
-    wedge: float = 0.0
-    tumblehome: float = 0.1
-    shoulder: float = 0.0
-    crown: float = 0.04
+    top: LoftProfile  # upper outline over the station (metres behind the front end)
+    bottom: float  # height of the sill and the floor
+    belt: float  # height of the belt line at x = 0
+    rise: float = 0.04  # how far the floor rises towards both ends
+    wedge: float = 0.0  # rise of the belt line per metre towards the rear
+    tumblehome: float = 0.1  # lean above the belt line, radians
+    shoulder: float = 0.0  # width of the ledge at the belt line
+    crown: float = 0.04  # fall of roof and bonnet from the middle to the sides
+    # wrap, wrap_rear: how far windscreen and rear window stand before their outer edges.
     wrap: float = 0.1
     wrap_rear: float = 0.1
+    # bow_front, bow_rear: how far the ends' middle stands out.
     bow_front: float = 0.1
     bow_rear: float = 0.06
+    # lean_front, lean_rear: how far the ends fall back from the bumper to the top.
     lean_front: float = 0.06
     lean_rear: float = 0.04
-    corner: float = 0.2
-    taper: float = 0.03
-    edge: float = 0.09
-    arches: tuple[tuple[float, float, float], ...] = ()
-    flare: float = 0.0
-    crease: float = 0.0
-    bumper: float = 0.5
+    corner: float = 0.2  # radius of the upright edges in plan
+    taper: float = 0.03  # share of the half width lost at the ends
+    edge: float = 0.09  # radius of the upper edges in the cross-section
+    arches: tuple[tuple[float, float, float], ...] = ()  # (x, z, radius) of each wheel arch
+    flare: float = 0.0  # how far the arches' lips stand out
+    crease: float = 0.0  # depth of the line along the side
+    bumper: float = 0.5  # height of the foremost point
+    # numbers of cells along x, across half the width, up the side.
     cells: tuple[int, int, int] = (40, 5, 12)
 
     def outline(self, x: Array) -> Array:

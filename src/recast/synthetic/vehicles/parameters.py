@@ -269,15 +269,10 @@ def sample_parameters(kind: str, rng: np.random.Generator) -> VehicleSizes:
 
 
 class PaintColour(NamedTuple):
-    """A paint.
+    """A paint."""
 
-    Attributes:
-        rgb: linear reflectance.
-        share: share of all passenger cars on the road; the shares add up to 1.
-    """
-
-    rgb: tuple[float, float, float]
-    share: float
+    rgb: tuple[float, float, float]  # linear reflectance
+    share: float  # share of all passenger cars on the road; the shares add up to 1
 
 
 COLOURS: dict[str, PaintColour] = {
@@ -323,11 +318,8 @@ def sample_colour(kind: str, rng: np.random.Generator) -> str:
 
 
 def paint_rgb(colour: str, shade: float) -> tuple[float, float, float]:
-    """Linear RGB of a named colour, darker or lighter by `shade` in [-1, 1].
-
-    Raises:
-        InputError: no such colour.
-    """
+    """Linear RGB of a named colour, darker or lighter by `shade` in [-1, 1]. Raises InputError: no
+    such colour."""
     if colour not in COLOURS:
         raise InputError("vehicle", "colour", f"{colour!r} is unknown", f"use {', '.join(COLOURS)}")
     factor = 1.0 + (0.12 if colour == "white" else 0.35) * shade

@@ -27,23 +27,14 @@ Region = Callable[["Solid"], "Array | tuple[list[Array], list[Array]]"]
 
 @dataclass
 class Solid:
-    """Triangles under construction.
+    """Triangles under construction."""
 
-    Attributes:
-        points: (V, 3) metres; x forward, y left, z up.
-        coords: (V, 3) coordinates of the undeformed shape, carried along by every cut.
-        faces: (F, 3) counter-clockwise from outside.
-        normals: (F, 3, 3) shading normals at the corners.
-        colours: (F, 3) linear RGB.
-        materials: (F,) indices of `MATERIALS`.
-    """
-
-    points: Array
-    coords: Array
-    faces: NDArray[np.int64]
-    normals: Array
-    colours: Array
-    materials: NDArray[np.uint8]
+    points: Array  # (V, 3) metres; x forward, y left, z up
+    coords: Array  # (V, 3) coordinates of the undeformed shape, carried along by every cut
+    faces: NDArray[np.int64]  # (F, 3) counter-clockwise from outside
+    normals: Array  # (F, 3, 3) shading normals at the corners
+    colours: Array  # (F, 3) linear RGB
+    materials: NDArray[np.uint8]  # (F,) indices of `MATERIALS`
 
     x = property(lambda self: self.points[:, 0])
     y = property(lambda self: self.points[:, 1])
