@@ -74,7 +74,8 @@ def _read_all(folder: Path) -> DrivingLog:
 def _refused(folder: Path, message: str) -> None:
     with pytest.raises(InputError) as error:
         _read_all(folder)
-    assert message in str(error.value)
+    whole = f"{error.value.where}: {error.value.field}: {error.value.problem}"  # not shortened
+    assert message in whole
     assert len(str(error.value)) <= 300 and "\n" not in str(error.value)
 
 

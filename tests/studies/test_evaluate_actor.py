@@ -149,7 +149,7 @@ def test_bad_input_is_one_line(
 
     out = tmp_path / "out"
     assert "is not a folder" in refused(ply, tmp_path / "nowhere", "--out", out)
-    assert "no set.json, no index.json" in refused(ply, tmp_path, "--out", out)
+    assert "has no set.json and no ID/input_views" in refused(ply, tmp_path, "--out", out)
     assert "generator: diorama: is not known" in refused("diorama", crops, "--out", out)
     assert "pth: does not exist" in refused(
         ply, crops, "--out", out, "--lpips-weights", tmp_path / "alex.pth"

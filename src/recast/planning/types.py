@@ -5,7 +5,7 @@ from __future__ import annotations
 from abc import abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any, Protocol, runtime_checkable
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -56,10 +56,6 @@ class PlanningContext:
     dt: float = 0.1
     plan_every: int = 5
     seed: int = 0
-
-    def __deepcopy__(self, memo: dict[int, Any]) -> PlanningContext:
-        """Itself, as it is read-only: copies of a planner share log and map."""
-        return self
 
 
 @dataclass(frozen=True)
