@@ -41,8 +41,8 @@ from recast.reconstruction.first_points import Initialisation
 from recast.reconstruction.step import Trainer
 from recast.reconstruction.views import DepthSamples, TrainingView
 from recast.scene import StreetScene
-from recast.scene.render import SceneRasterizer
 from recast.scene.sky import SkyMap
+from recast.scene.street_scene import SceneRasterizer
 from recast.splats import Gaussians, pick_device, rasterize
 from recast.splats.cuda import load_gsplat
 

@@ -71,7 +71,7 @@ MODELS = {
         ("recast.recar.perturb", "PerturbationConfig", "file for `--perturbations`"),
         ("recast.recar.training_config", "StageConfig", "one stage of `recast recar train`"),
         ("recast.recar.training_config", "FlowObjective", "`objective` of a stage"),
-        ("recast.training.task", "TrainerSettings", "`trainer` of a training"),
+        ("recast.training.state", "TrainerSettings", "`trainer` of a training"),
     ),
     "Training of the small planner": (
         (

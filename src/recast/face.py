@@ -48,7 +48,7 @@ from recast.runs.report import report_rollout, report_run
 from recast.runs.run_folder import ACTOR_FOLDER, STORE_FOLDER
 from recast.runs.sources import SourceLog, generator_source, segmenter_source
 from recast.scene import StreetScene, save_scene
-from recast.scene.imported import IMPORT_FILE
+from recast.scene.exchange import IMPORT_FILE
 from recast.simulation import Rollout, load_rollout
 from recast.studies import resolve_bench, run_closed_loop
 from recast.studies.closed_loop import GridResults

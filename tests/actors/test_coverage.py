@@ -11,7 +11,7 @@ import torch
 from recast.actors.coverage import NOTHING, Coverage, CoverageMeter
 from recast.geometry import se2, se3
 from recast.scene import SceneActor, SkyMap, StreetScene
-from recast.scene.render import SceneRasterizer
+from recast.scene.street_scene import SceneRasterizer
 from recast.splats import CLASSIC, MIP, Gaussians, LowPass
 from recast.splats.sh import C0
 from support.box_world import CAMERA, FACES, MOUNTS, SIZE, box_log, box_shares, scene

@@ -13,7 +13,7 @@ from recast.geometry import se3
 from recast.logs import DrivingLog
 from recast.scene import SceneActor, SkyMap, StreetScene, render_scene
 from recast.scene.light import ActorLight, SceneLight, SunBelief, recorded_light
-from recast.scene.light.place import LitSurface
+from recast.scene.light.relight import LitSurface
 from recast.scene.light.sun import directions
 from recast.splats import Gaussians
 from support import made_up_actors as made_up

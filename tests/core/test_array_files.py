@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from recast.core.array_files import npz_names, read_npy, read_npz
 from recast.core.errors import InputError
+from recast.core.table_files import npz_names, read_npy, read_npz
 
 MEND = "mend it"
 

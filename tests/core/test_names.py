@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from recast.core.errors import LINE_LIMIT, InputError
-from recast.core.names import folder_name, member
+from recast.core.files import folder_name, member
 
 HOSTILE = [
     "",

@@ -5,8 +5,8 @@ import io
 import pytest
 from rich.console import Console
 
-from recast.core import progress
-from recast.core.progress import ProgressBar, time_left
+from recast.core import diagnostics
+from recast.core.diagnostics import ProgressBar, time_left
 
 
 def test_time_left_in_words() -> None:
@@ -17,7 +17,7 @@ def test_time_left_in_words() -> None:
 
 def test_finished_pictures_of_an_earlier_run_cost_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
     clock = iter([0.0, 10.0])
-    monkeypatch.setattr(progress.time, "monotonic", lambda: next(clock))
+    monkeypatch.setattr(diagnostics.time, "monotonic", lambda: next(clock))
     bar = ProgressBar("pictures", Console(file=io.StringIO()))
     bar(50, 100)
     bar(60, 100)

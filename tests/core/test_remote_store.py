@@ -8,8 +8,8 @@ import pytest
 from upath import UPath
 
 from recast.core import Store, open_store
+from recast.core.artefact import CACHE_VARIABLE
 from recast.core.errors import InputError
-from recast.core.remote import CACHE_VARIABLE
 
 INPUTS = {"log": "abc"}
 

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from recast.core import plugins
-from recast.core.source_files import source_files
+from recast.core.plugins import source_files
 from recast.planning import PLANNERS
 
 

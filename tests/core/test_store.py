@@ -14,9 +14,8 @@ from pathlib import Path
 import pytest
 
 from recast.core import Artefact, Store, files
-from recast.core.artefact import artefact_key
+from recast.core.artefact import ParcelDepot, artefact_key, pack, unpack
 from recast.core.errors import InputError
-from recast.core.remote import ParcelDepot, pack, unpack
 from recast.core.store import NotInStoreError
 
 INPUTS = {"log": "abc", "seed": 3}

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from recast import dynamics
-from recast.dynamics import idm, tracker
+from recast.dynamics import state, tracker
 
 COMMITTED = Path(__file__).parents[1] / "golden" / "planners" / "dynamics.npz"
 TOLERANCE = 1e-9
@@ -67,12 +67,12 @@ def test_pdm_driver_model(golden):
         golden["idm_batch.state"],
         golden["idm_batch.lead"],
         fractions * golden["idm_batch.speed_limit"],
-        idm.PDM_BATCH,
+        state.PDM_BATCH,
     )
     close(found, golden["idm_batch.next"])
 
 
 def test_nuplan_driver_model(golden):
-    agent = idm.IdmParameters(max_acceleration=1.0, max_deceleration=2.0)
+    agent = state.IdmParameters(max_acceleration=1.0, max_deceleration=2.0)
     found = dynamics.idm_step(golden["idm_batch.state"], golden["idm_batch.lead"], 10.0, agent)
     close(found, golden["idm_nuplan.next"])

@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from recast import dynamics
-from recast.dynamics import idm
+from recast.dynamics.state import NUPLAN_PLANNER
 
 
 def drive(state, target, stop=np.inf, steps=300):
@@ -17,7 +17,7 @@ def drive(state, target, stop=np.inf, steps=300):
 
 
 def test_settles_behind_a_lead_at_the_equilibrium_gap():
-    parameters = idm.NUPLAN_PLANNER
+    parameters = NUPLAN_PLANNER
     state, lead = np.array([0.0, 12.0]), np.array([60.0, 6.0, 2.0])
     for _ in range(1200):
         state = dynamics.idm_step(state, lead, 13.0, parameters)

@@ -17,7 +17,7 @@ from recast.cameras import CameraMount, PinholeCamera
 from recast.core.errors import InputError
 from recast.dynamics import state as ego
 from recast.envs import ENV_ID, DrivingEnv, ProgressReward
-from recast.envs.spaces import ACTOR_COLUMNS
+from recast.envs.driving_env import ACTOR_COLUMNS
 from recast.geometry import se2
 from recast.logs import write_log
 from recast.logs.hdmap import HdMap

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from recast.geometry import Polyline, polyline, se2
+from recast.geometry import Polyline, se2
 
 from .strategies import planar_poses
 
@@ -88,7 +88,7 @@ def test_the_outside_of_a_bend_is_one_side(bend):
 def test_blocks_do_not_change_the_projection(monkeypatch):
     line, points = gentle_curve(), np.random.default_rng(0).uniform(-20, 60, (500, 2))
     whole = line.to_frenet(points)
-    monkeypatch.setattr(polyline, "_BLOCK", 1000)
+    monkeypatch.setattr(se2, "_BLOCK", 1000)
     np.testing.assert_array_equal(line.to_frenet(points), whole)
 
 

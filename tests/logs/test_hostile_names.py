@@ -14,7 +14,7 @@ from rich.console import Console
 
 from recast.cli.rows.logs import log_info_tables
 from recast.core.errors import InputError
-from recast.core.names import folder_name
+from recast.core.files import folder_name
 from recast.logs import DrivingLog, Track, Trajectory, log_info, read_log, write_log
 from support.importing import import_drive
 from support.small_log import small_log

@@ -15,8 +15,8 @@ from moto.server import ThreadedMotoServer
 from upath import UPath
 
 from recast.cli.main import main
+from recast.core.artefact import CACHE_VARIABLE, cache_folder
 from recast.core.errors import InputError
-from recast.core.remote import CACHE_VARIABLE, cache_folder
 from recast.logs import load_log, write_log
 from recast.logs.load import local_folder
 from support.small_log import small_log

@@ -5,7 +5,7 @@ import pytest
 from scipy.signal import savgol_filter
 
 from recast.dynamics import make_state, track
-from recast.dynamics.comfort import comfortable_plans, savgol_signals
+from recast.dynamics.tracker import comfortable_plans, savgol_signals
 from recast.metrics import driving
 
 T = 0.1 * np.arange(41)

@@ -24,9 +24,8 @@ from recast.recar.screening import read_decisions, screened_vehicles, write_scre
 from recast.recar.statistics import write_overview
 from recast.recar.target_cache import TargetCache
 from recast.recar.training_config import read_stage_config, read_training_record
-from recast.training.loop import train
+from recast.training.loop import read_log_lines, train
 from recast.training.state import STATE_FILE, steps_done
-from recast.training.task import read_log_lines
 from recast_tools.small_model.asset_synthesis import AssetsRecord, make_assets
 from support.crops import write_crops
 from support.line_task import SETTINGS, Line

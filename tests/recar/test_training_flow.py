@@ -38,7 +38,7 @@ from recast.recar.training_config import (
     read_stage_config,
 )
 from recast.recar.training_flow import ConditionGap, FlowTask, LatentFlow, StructureFlow
-from recast.training.task import StepRandom
+from recast.training.loop import StepRandom
 from recast.trellis import ImageTo3D
 from recast.trellis.sampler import FlowMatching
 from support.tiny_stage import TinyStage, write_tiny_stage

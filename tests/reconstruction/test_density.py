@@ -10,8 +10,7 @@ import torch
 from recast.logs import Track, Trajectory
 from recast.reconstruction import SceneConfig, resolve_config
 from recast.reconstruction.densify import control_density, reset_opacities, rows
-from recast.reconstruction.schedule import DensitySchedule
-from recast.reconstruction.settings import OPTIM
+from recast.reconstruction.settings import OPTIM, DensitySchedule
 from recast.reconstruction.step import TrainableScene
 from support.gaussian_clouds import part
 

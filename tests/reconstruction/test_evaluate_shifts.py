@@ -22,8 +22,7 @@ from recast.reconstruction import (
     evaluate_scene,
     psnr,
 )
-from recast.reconstruction.evaluate import held_out_frames
-from recast.reconstruction.evaluation import shifted_views
+from recast.reconstruction.evaluate import held_out_frames, shifted_views
 from recast.scene import render_scene
 from support.tiny_street import TINY
 

@@ -6,7 +6,7 @@ import torch
 from recast.cameras import PinholeCamera
 from recast.reconstruction.tables import Exposures
 from recast.reconstruction.views import TrainingView
-from recast.scene.appearance import exposed, exposed_colours
+from recast.scene.actor import exposed, exposed_colours
 from recast.splats import rasterize
 from support.gaussian_clouds import K, part
 

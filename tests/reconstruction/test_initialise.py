@@ -12,7 +12,7 @@ from recast.reconstruction.config import SceneConfig
 from recast.reconstruction.first_points import Initialisation, initialise
 from recast.reconstruction.points import depth_samples, read_sweeps
 from recast.reconstruction.views import TrainingView, choose_actors, modelled_tracks, read_views
-from recast.scene.poses import pose_at, stands
+from recast.scene.street_scene import pose_at, stands
 from support import tiny_world
 
 CONFIG = SceneConfig(scale=1.0, voxel_m=0.3, sweep_points=1000)

@@ -6,8 +6,7 @@ import torch
 
 from recast.cameras import PinholeCamera
 from recast.reconstruction import SceneConfig
-from recast.reconstruction.schedule import coarse_factor
-from recast.reconstruction.settings import INIT
+from recast.reconstruction.settings import INIT, coarse_factor
 from recast.reconstruction.views import DepthSamples, TrainingView, make_level
 
 CAMERA = PinholeCamera(61, 38, 50.0, 50.0, 30.0, 19.0)

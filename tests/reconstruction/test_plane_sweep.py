@@ -5,7 +5,7 @@ import numpy as np
 
 from recast.cameras import PinholeCamera
 from recast.geometry import se3
-from recast.reconstruction.plane_sweep import sweep_depths
+from recast.reconstruction.points import sweep_depths
 from recast.reconstruction.views import TrainingView
 
 CAMERA = PinholeCamera(120, 60, 90.0, 90.0, 60.0, 30.0)

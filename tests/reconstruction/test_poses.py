@@ -9,7 +9,7 @@ from recast.geometry import se3
 from recast.logs import Track, Trajectory
 from recast.reconstruction.tables import CameraPoses, TrackPoses
 from recast.reconstruction.views import TrainingView
-from recast.scene.poses import corrected, moves, pose_at, twist_matrix
+from recast.scene.street_scene import corrected, moves, pose_at, twist_matrix
 from recast.splats import Gaussians, rasterize
 
 CAMERA = PinholeCamera(64, 40, 50.0, 50.0, 32.0, 20.0)

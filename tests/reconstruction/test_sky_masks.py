@@ -11,7 +11,7 @@ import torch
 from recast.core.errors import InputError
 from recast.logs import DrivingLog
 from recast.reconstruction import SceneConfig
-from recast.reconstruction.sky_masks import sky_mask, sky_masks
+from recast.reconstruction.first_points import sky_mask, sky_masks
 from recast.reconstruction.views import DepthSamples, TrainingView, read_view
 
 CAMERA = "image_02"

@@ -19,7 +19,7 @@ from recast.logs import DrivingLog
 from recast.reconstruction import TrainingStatus, TrainResult, train_scene
 from recast.reconstruction.losses import photometric_loss
 from recast.reconstruction.train import WORK_FOLDER
-from recast.scene.render import SceneRasterizer
+from recast.scene.street_scene import SceneRasterizer
 from recast.simulation.scene_renderer import SceneRenderer
 from recast.splats import Rasterization, rasterize
 from recast.splats.cuda import pick_device
@@ -64,7 +64,7 @@ def there(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     """`ELSEWHERE` is the device that is picked."""
     for name in ("reconstruction.step", "reconstruction.losses", "splats.rasterize"):
         monkeypatch.setattr(sys.modules[f"recast.{name}"], "rasterize", rasterize_elsewhere)
-    for name in ("reconstruction.train", "scene.render"):
+    for name in ("reconstruction.train", "scene.street_scene"):
         monkeypatch.setattr(
             sys.modules[f"recast.{name}"],
             "pick_device",

@@ -6,7 +6,7 @@ import torch
 from recast.reconstruction.densify import rows
 from recast.reconstruction.settings import OPTIM
 from recast.reconstruction.step import TrainableScene
-from recast.scene.appearance import coloured, mirrored
+from recast.scene.actor import coloured, mirrored
 from recast.splats import Gaussians, concatenate, rasterize
 from support.gaussian_clouds import K, part
 

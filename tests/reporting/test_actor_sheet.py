@@ -13,7 +13,7 @@ from PIL import Image
 from recast.actors import Actor, save_actor, turntable
 from recast.actors.drawing import coloured_by_shares
 from recast.cli.main import main
-from recast.core.lettering import wrapped
+from recast.core.images import wrapped
 from recast.reporting import palette, read_video
 from recast.reporting.actor_sheet import draw_actor_sheet, turntable_frames
 from reporting.made_up_actor import refined_actor

@@ -19,7 +19,7 @@ from recast.runs.sources import RECIPES
 SOURCE = Path(__file__).parents[2] / "src" / "recast"
 ACCEPTED = Path(__file__).with_name("recipes.json")
 CODE = {
-    "log": ("logs", "synthetic", "core/table_files.py", "core/array_files.py"),
+    "log": ("logs", "synthetic", "core/table_files.py"),
     "actor": ("actors", "reconstruction", "scene", "splats", "trellis", "runs/actor.py"),
     "refine": ("actors", "reconstruction", "scene", "splats"),
     "turntable": ("actors", "splats"),

@@ -8,7 +8,7 @@ import pytest
 from upath import UPath
 
 from recast.cli.main import main
-from recast.core.remote import CACHE_VARIABLE
+from recast.core.artefact import CACHE_VARIABLE
 
 
 def test_what_one_machine_made_another_only_reads(

@@ -19,7 +19,7 @@ from recast.reconstruction import (
     ViewShift,
     psnr,
 )
-from recast.reconstruction.evaluation import ShiftedScore
+from recast.reconstruction.evaluate import ShiftedScore
 from recast.reconstruction.scores import DepthScore
 from recast.runs.scene import evaluation_table, shift_table, shifted_truth
 from recast.synthetic import is_synthetic

@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from recast.logs import Trajectory
-from recast.scene.appearance import Appearance, coloured, fourier_basis, share_of
+from recast.scene.actor import Appearance, coloured, fourier_basis, share_of
 from support.gaussian_clouds import part
 
 

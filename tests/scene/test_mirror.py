@@ -2,7 +2,7 @@ from __future__ import annotations
 
 import torch
 
-from recast.scene.appearance import mirrored, with_other_side
+from recast.scene.actor import mirrored, with_other_side
 from recast.splats import Gaussians, rasterize
 from recast.splats.gaussians import quat_to_matrix
 from support.gaussian_clouds import K, part

@@ -12,7 +12,7 @@ import torch
 
 from recast.cli.main import main
 from recast.core.errors import InputError
-from recast.core.names import folder_name
+from recast.core.files import folder_name
 from recast.geometry import se3
 from recast.logs import DrivingLog
 from recast.runs.scene import evaluate_and_print
@@ -26,7 +26,7 @@ from recast.scene import (
     render_scene,
     save_scene,
 )
-from recast.scene.imported import import_gaussians
+from recast.scene.exchange import import_gaussians
 from recast.scene.sky import read_sky, sample_cubemap, sky_from_cubemap, write_sky
 from recast.splats import read_ply, write_ply
 from recast.splats.formats import read_gaussians

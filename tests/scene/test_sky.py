@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from recast.cameras import PinholeCamera
 from recast.geometry import se3
-from recast.reconstruction.sky_masks import sky_mask
+from recast.reconstruction.first_points import sky_mask
 from recast.scene.sky import (
     OPAQUE,
     SkyMap,

@@ -8,7 +8,8 @@ from collections.abc import Mapping
 import torch
 from torch import nn
 
-from recast.training.task import StepLoss, StepRandom, TrainerSettings
+from recast.training.loop import StepLoss, StepRandom
+from recast.training.state import TrainerSettings
 
 SETTINGS = TrainerSettings(
     steps=23,

@@ -13,9 +13,8 @@ from safetensors import safe_open
 from torch import Tensor, nn
 
 from recast.core.errors import InputError
-from recast.training.loop import train
-from recast.training.state import STATE_FILE, TrainingState
-from recast.training.task import StepRandom, TrainerSettings, read_log_lines
+from recast.training.loop import StepRandom, read_log_lines, train
+from recast.training.state import STATE_FILE, TrainerSettings, TrainingState
 from support.line_task import SETTINGS, Line
 
 

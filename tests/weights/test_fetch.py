@@ -15,7 +15,7 @@ from recast.core.plugins import GENERATORS, PLANNERS, SEGMENTERS
 from recast.pretrained import VQA_SCORERS
 from recast.weights import PUBLISHED, Licence, Weights, WeightsSource, weights_folder
 from recast.weights.fetch import fetch
-from recast.weights.fetched import opened, read_weights_record, verify
+from recast.weights.table import opened, read_weights_record, verify
 from support.children import refused_from
 from support.moments import killed_before
 from weights.hub import FILES, MIT, Hub, data_of, entry, sha256
@@ -246,7 +246,7 @@ def test_unchanged_files_are_not_read_at_every_use(
 ) -> None:
     folder = fetch(toy)
     note = folder.with_name(".toy.verified.json")
-    monkeypatch.setattr("recast.weights.fetched.file_record", lambda path: pytest.fail("read"))
+    monkeypatch.setattr("recast.weights.table.file_record", lambda path: pytest.fail("read"))
     assert opened(toy) == folder
     note.unlink()
     with pytest.raises(pytest.fail.Exception):

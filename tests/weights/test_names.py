@@ -31,7 +31,7 @@ from recast.weights import (
     weights_folder,
 )
 from recast.weights.fetch import fetch
-from recast.weights.fetched import read_weights_record
+from recast.weights.table import read_weights_record
 from support.tiny_gtrs import TINY, fan
 from support.tiny_networks import write_tiny_networks
 from support.trellis_folder import write_golden_model

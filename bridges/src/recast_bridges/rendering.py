@@ -14,8 +14,7 @@ import numpy as np
 from recast.arrays import Array, Image
 from recast.cameras import CameraMount, Lens, PinholeCamera
 from recast.geometry import se3
-from recast.scene.render import SceneRasterizer
-from recast.scene.street_scene import StreetScene
+from recast.scene.street_scene import SceneRasterizer, StreetScene
 from recast.simulation.scene_renderer import draw_image
 from recast_bridges.requests import MOST_IN_ALL, AnyCamera, RefusedError, RenderRequest
 

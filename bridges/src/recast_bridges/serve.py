@@ -21,7 +21,7 @@ from recast.logs import DrivingLog, load_log
 from recast.runs.run_folder import RUN_FILE
 from recast.runs.view import run_inputs
 from recast.scene import StreetScene, load_scene
-from recast.scene.imported import given_placement
+from recast.scene.exchange import given_placement
 from recast.scene.store import SCENE_FILE
 from recast_bridges.neuroncap import NcapService, ncap_app
 from recast_bridges.rendering import ScenePainter, ServedScene, Unnamed

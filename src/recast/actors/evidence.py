@@ -30,8 +30,8 @@ from recast.geometry import se3
 from recast.logs import DrivingLog, Track
 from recast.logs.checks import WORLD_REACH, check_poses
 from recast.scene import StreetScene
-from recast.scene.poses import pose_at
 from recast.scene.store import read_tensors, write_tensors
+from recast.scene.street_scene import pose_at
 
 EDGE = 0.08
 """Edge of a cell, metres."""

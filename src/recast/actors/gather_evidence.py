@@ -21,11 +21,11 @@ from recast.actors.segment import (
 )
 from recast.arrays import Array
 from recast.cameras import PinholeCamera, box_outline, box_rectangle
-from recast.core.progress import Progress
+from recast.core.diagnostics import Progress
 from recast.logs import DrivingLog, Track, track_points
 from recast.reconstruction import SceneConfig
 from recast.reconstruction.views import TrainingView, camera_names, is_held_out, read_view
-from recast.scene.poses import pose_at
+from recast.scene.street_scene import pose_at
 
 LEAST_HEIGHT = 14.0
 """Pixels of the projected box: in a smaller one nothing is told apart."""

@@ -23,7 +23,7 @@ from recast.core.errors import InputError
 from recast.logs import Trajectory
 from recast.scene import StreetScene
 from recast.scene.light import ActorLight, CastShadow, LitSurface, SceneLight, recorded_light
-from recast.scene.poses import pose_at
+from recast.scene.street_scene import pose_at
 from recast.splats import Gaussians
 from recast.splats.sh import C0
 

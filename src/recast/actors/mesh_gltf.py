@@ -14,22 +14,24 @@ from PIL import Image
 
 from recast.arrays import Array
 from recast.core.errors import InputError
-from recast.core.gltf.file import GlbFile, data_of, named_uri
-from recast.core.gltf.tree import (
+from recast.core.files import member
+from recast.core.gltf_file import (
     FAN,
     STRIP,
     TRIANGLES,
     EmissiveStrength,
+    GlbFile,
     Glossy,
     GltfTexture,
     Primitive,
     TextureTransform,
     TextureUse,
     Transmission,
+    data_of,
+    named_uri,
     placed_primitives,
 )
 from recast.core.images import decode_image, rgba
-from recast.core.names import member
 from recast.geometry import se3
 
 Alpha = Literal["OPAQUE", "MASK", "BLEND"]

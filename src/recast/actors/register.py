@@ -56,8 +56,8 @@ from recast.actors.place import (
 )
 from recast.actors.template import TemplateGenerator
 from recast.arrays import Array
+from recast.core.diagnostics import Progress
 from recast.core.errors import InputError
-from recast.core.progress import Progress
 from recast.geometry import se3
 from recast.logs import DrivingLog, Track, track_points
 from recast.scene.actor import draw

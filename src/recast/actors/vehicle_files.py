@@ -28,7 +28,7 @@ from recast.core.records import Record, read_record
 from recast.core.torch_file import read_safetensors
 from recast.logs import Trajectory
 from recast.logs.images import encode
-from recast.scene.export import CONVENTIONS
+from recast.scene.exchange import CONVENTIONS
 from recast.splats import CLASSIC, MIP, Gaussians, LowPass, read_ply, write_ply
 from recast.splats.formats import (
     GLTF,

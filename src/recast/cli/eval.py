@@ -52,7 +52,7 @@ class EvalActor:
 
     def __call__(self) -> None:
         from recast.actors import make_generator
-        from recast.core.progress import ProgressBar
+        from recast.core.diagnostics import ProgressBar
         from recast.logs.store import LOG_FILE
         from recast.metrics.perceptual import load_distances
         from recast.studies.actors import evaluate_actors, evaluation_table
@@ -165,7 +165,7 @@ class EvalGeneration:
     json: Annotated[bool, JSON] = False
 
     def __call__(self) -> None:
-        from recast.core.progress import ProgressBar
+        from recast.core.diagnostics import ProgressBar
         from recast.studies.generation.cells import Measures
         from recast.studies.generation.report import differences_table, paper_table, study_table
         from recast.studies.generation.rows import parse_models, read_rows

@@ -60,9 +60,9 @@ class Import:
     """Correct the GPS/IMU poses by matching LiDAR sweeps (kitti only)."""
 
     def __call__(self) -> None:
+        from recast.core.diagnostics import ProgressBar
         from recast.core.files import require_new
         from recast.core.plugins import IMPORTERS
-        from recast.core.progress import ProgressBar
         from recast.logs import OddLogWarning, load_log, plausibility, write_log
 
         require_new(self.out)
@@ -145,7 +145,7 @@ class LogSynth:
     """Add walking pedestrians and cyclists."""
 
     def __call__(self) -> None:
-        from recast.core.progress import ProgressBar
+        from recast.core.diagnostics import ProgressBar
         from recast.synthetic import CAMERAS, check_request, make_world, synthesize_log
 
         console = console_for(False)

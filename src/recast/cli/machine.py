@@ -90,7 +90,7 @@ class WeightsPath:
 
     def __call__(self) -> None:
         from recast.weights import published
-        from recast.weights.fetched import opened
+        from recast.weights.table import opened
 
         print(opened(published(self.name)))
 

@@ -73,8 +73,8 @@ class RecarTargets:
     def __call__(self) -> None:
         from itertools import islice
 
+        from recast.core.diagnostics import ProgressBar
         from recast.core.errors import require_range
-        from recast.core.progress import ProgressBar
         from recast.recar.target_maker import FilterSettings, ModelSource, TargetSettings
         from recast.recar.targets import build_targets, target_statistics, target_table
         from recast.recar.vehicle_set import read_set
@@ -168,7 +168,7 @@ class RecarSynth:
     workers: Annotated[int, shared.WORKERS] = 1
 
     def __call__(self) -> None:
-        from recast.core.progress import ProgressBar
+        from recast.core.diagnostics import ProgressBar
         from recast.recar import SynthesisSettings, synthesize_set
 
         settings = SynthesisSettings(
@@ -204,7 +204,7 @@ class Stats:
     json: Annotated[bool, JSON] = False
 
     def __call__(self) -> None:
-        from recast.core.progress import ProgressBar
+        from recast.core.diagnostics import ProgressBar
         from recast.recar import read_set, set_statistics, statistics_table
         from recast.recar.statistics import write_overview
 

@@ -68,8 +68,8 @@ class Ingest:
 
     def __call__(self) -> None:
         from recast.actors.cutout import remover_of
+        from recast.core.diagnostics import ProgressBar
         from recast.core.errors import InputError, printable
-        from recast.core.progress import ProgressBar
         from recast.recar.ingest import ingest_photographs
         from recast.recar.ingest_table import IngestSettings
 
@@ -225,7 +225,7 @@ class Screen:
     """Vehicle set, or cache of pseudo-targets (it may be unfinished)."""
 
     def __call__(self) -> None:
-        from recast.core.progress import ProgressBar
+        from recast.core.diagnostics import ProgressBar
         from recast.recar import read_set
         from recast.recar.screening import SCREENING_FILE, screened_vehicles, write_screening
         from recast.recar.target_cache import CACHE_FILE, TargetCache

@@ -149,7 +149,7 @@ class GaussiansFile:
     ] = None
 
     def __call__(self) -> None:
-        from recast.scene.imported import import_gaussians
+        from recast.scene.exchange import import_gaussians
 
         shared.run_import(import_gaussians, **vars(self))
 

@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
     from rich.console import Console
 
-    from recast.scene.imported import ImportRecord
+    from recast.scene.exchange import ImportRecord
 
 
 Names = tyro.conf.UseAppendAction[tuple[str, ...]]
@@ -304,7 +304,6 @@ PAGES = {
     "recast.actors.mesh": _VEHICLES,
     "recast.actors.vehicle_files": _VEHICLES,
     "recast.core.artefact": "docs/runs.md#the-store",
-    "recast.core.remote": "docs/runs.md#the-store",
     "recast.core.store": "docs/runs.md#the-store",
     "recast.metrics.trust": "docs/trust.md",
     "recast.logs": "docs/data.md#the-log-folder",

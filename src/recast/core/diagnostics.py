@@ -1,4 +1,4 @@
-"""Where the records of the `recast` loggers go: to the terminal, to a file, or nowhere.
+"""What a person sees of what runs: records of the `recast` loggers, progress and bars.
 
 Libraries only log, under the names of their modules. A program decides once where to, with `begin`;
 worker processes are told the same.
@@ -7,11 +7,19 @@ worker processes are told the same.
 from __future__ import annotations
 
 import logging
+import time
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import TYPE_CHECKING, Self
 
 from recast.core.errors import printable
 from recast.core.files import disk_errors
+
+if TYPE_CHECKING:
+    from rich.console import Console
+    from rich.progress import ProgressColumn
+
 
 _LOGGER = logging.getLogger("recast")
 _LINE = "%(asctime)s %(levelname)s %(process)d %(name)s: %(message)s"
@@ -81,3 +89,80 @@ class _OneLine(logging.Formatter):
     def formatMessage(self, record: logging.LogRecord) -> str:  # noqa: N802
         record.message = printable(record.message)
         return super().formatMessage(record)
+
+
+Progress = Callable[[int, int], None]
+"""Called with the number of pieces that are done, and the number of all."""
+
+
+def tell(progress: Progress | None, done: int, total: int) -> None:
+    """Call a progress callback, if there is one."""
+    if progress is not None:
+        progress(done, total)
+
+
+class Bars:
+    """Draws while it is entered; a subclass adds tasks to `self._bars`.
+
+    Args:
+        console: console to draw on; the standard one if None.
+    """
+
+    def __init__(
+        self, *columns: ProgressColumn, console: Console | None, disable: bool = False
+    ) -> None:
+        from rich import progress
+
+        self._bars = progress.Progress(*columns, console=console, disable=disable)
+
+    def __enter__(self) -> Self:
+        """Start drawing."""
+        self._bars.start()
+        return self
+
+    def __exit__(self, *fault: object) -> None:
+        """Stop drawing; bars on which an error left nothing done disappear."""
+        if any(fault) and not any(task.completed for task in self._bars.tasks):
+            self._bars.live.transient = True
+        self._bars.stop()
+
+
+class ProgressBar(Bars):
+    """A bar over equal pieces of work, with their number and the time left; itself a `Progress`.
+
+    Args:
+        what: name of the pieces, such as "pictures".
+        console: console to draw on; the standard one if None.
+        total: number of pieces; None until a call tells it.
+    """
+
+    def __init__(self, what: str, console: Console | None = None, total: int | None = None) -> None:
+        from rich.progress import BarColumn, MofNCompleteColumn, TextColumn
+
+        texts = TextColumn("  {task.description}"), TextColumn("{task.fields[left]}")
+        super().__init__(texts[0], BarColumn(), MofNCompleteColumn(), texts[1], console=console)
+        self._task = self._bars.add_task(what, total=total, left="")
+        self._start: tuple[float, int] | None = None
+
+    def __call__(self, done: int, total: int) -> None:
+        """`done` of `total` pieces are finished; those of the first call cost nothing."""
+        now = time.monotonic()
+        if self._start is None:
+            self._start = (now, done)
+        started, skipped = self._start
+        left = ""
+        if skipped < done < total:
+            left = time_left((now - started) / (done - skipped) * (total - done))
+        self._bars.update(self._task, completed=done, total=total, left=left)
+
+    def advance(self) -> None:
+        """Count one more finished piece of the total that is known."""
+        task = self._bars.tasks[0]
+        self(int(task.completed) + 1, int(task.total or 0))
+
+
+def time_left(seconds: float) -> str:
+    """Such as "4:05 left" or "2:30:00 left"."""
+    minutes, rest = divmod(round(seconds), 60)
+    hours, minutes = divmod(minutes, 60)
+    return f"{hours}:{minutes:02d}:{rest:02d} left" if hours else f"{minutes}:{rest:02d} left"

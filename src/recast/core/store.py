@@ -20,17 +20,19 @@ from recast.core.artefact import (
     RECORD_FILE,
     Artefact,
     ArtefactRecord,
+    Depot,
     artefact_key,
+    depot_of,
     read_artefact,
     read_partial,
     references,
+    unpack,
     value_hash,
     verify,
     written_files,
 )
 from recast.core.errors import InputError
 from recast.core.records import Record, read_record
-from recast.core.remote import Depot, depot_of, unpack
 
 _LOG = logging.getLogger(__name__)
 
@@ -161,7 +163,7 @@ class Store:
         return found
 
     def take(self, reference: str, parcel: bytes) -> Artefact:
-        """Take over an artefact that another process packed, see `recast.core.remote`.
+        """Take over an artefact that another process packed, see `recast.core.artefact`.
 
         Raises:
             InputError: the parcel is damaged, or the disk refuses.
@@ -366,7 +368,7 @@ class Store:
 def open_store(place: Any) -> Store:
     """The store at a place: a folder, or an address such as s3://bucket/store.
 
-    Artefacts of a store elsewhere are kept in a folder of `recast.core.remote.cache_folder` too.
+    Artefacts of a store elsewhere are kept in a folder of `recast.core.artefact.cache_folder` too.
 
     Raises:
         InputError: see `Store`; or nothing answers there.

@@ -365,7 +365,7 @@ class _RemoteWorker:
     ) -> None:
         import torch  # noqa: F401  (so that its threads are set)
 
-        from recast.core.source_files import search_folder
+        from recast.core.plugins import search_folder
 
         search_folder(folder)  # users' code, on machines that have this folder
         self._records = records

@@ -1,18 +1,16 @@
 """Vehicle models and controllers: numpy float64, any leading batch dimensions."""
 
 from recast.dynamics import state
-from recast.dynamics.idm import (
-    IdmParameters,
-    free_road_acceleration,
-    free_road_step,
-    idm_acceleration,
-    idm_step,
-)
 from recast.dynamics.state import (
     PACIFICA,
     EgoState,
+    IdmParameters,
     VehicleParameters,
+    free_road_acceleration,
+    free_road_step,
     ground_velocities,
+    idm_acceleration,
+    idm_step,
     initial_state,
     make_state,
 )

@@ -17,13 +17,12 @@ from typing import Any
 from upath import UPath
 
 from recast.core.arguments import checked
+from recast.core.artefact import answering, cache_folder, digest, local_path, remote_path
+from recast.core.diagnostics import Progress
 from recast.core.errors import InputError
-from recast.core.files import alone_in, atomic_folder, disk_errors
+from recast.core.files import alone_in, atomic_folder, disk_errors, member
 from recast.core.foreign import foreign_call
-from recast.core.names import member
 from recast.core.plugins import IMPORTERS
-from recast.core.progress import Progress
-from recast.core.remote import answering, cache_folder, digest, local_path, remote_path
 from recast.logs.plausibility import examined, require_plausible, warn_odd
 from recast.logs.store import LOG_FILE, read_log
 from recast.logs.types import DrivingLog

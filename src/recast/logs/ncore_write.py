@@ -50,11 +50,10 @@ from scipy.spatial.transform import Rotation
 from upath import UPath
 
 from recast.cameras import PinholeCamera
-from recast.core import files, names
+from recast.core import files
+from recast.core.diagnostics import Progress
 from recast.core.errors import InputError
-from recast.core.files import disk_errors
-from recast.core.names import folder_name
-from recast.core.progress import Progress
+from recast.core.files import disk_errors, folder_name
 from recast.geometry import se3
 from recast.logs import motion
 from recast.logs.checks import refused
@@ -146,7 +145,7 @@ def _open(folder: Path, pid: int, inode: int, changed: int) -> SequenceComponent
         raise InputError(listing, field, "lists no files", MEND)
     if len(set(listed)) != len(listed):
         raise InputError(listing, field, "lists a store twice", MEND)
-    paths = [names.member(folder, name, listing, field) for name in listed]
+    paths = [files.member(folder, name, listing, field) for name in listed]
     for path in paths:
         with readable(path, "NCore store"):
             check_store(path)
@@ -242,7 +241,7 @@ def _check_array(
 #
 # Frame names: "world", "rig" and the sensors' own. NCore calls a pose by (source, target); it maps
 # source to target, so our `world_from_rig` is its ("rig", "world"). Sensors' names become names of
-# files and of nodes there, so any that are not plain are stored as `names.folder_name` makes them;
+# files and of nodes there, so any that are not plain are stored as `files.folder_name` makes them;
 # log.json has the names themselves.
 
 COMPONENT = "default"  # instance name NCore's own loader looks for

@@ -18,11 +18,11 @@ from pydantic import field_validator
 from scipy.spatial.transform import Rotation
 
 from recast.cameras import PinholeCamera
-from recast.core import files, names, records
+from recast.core import files, records
 from recast.core.arguments import checked
+from recast.core.diagnostics import Progress
 from recast.core.errors import InputError
 from recast.core.images import decode_mask
-from recast.core.progress import Progress
 from recast.geometry import se3
 from recast.logs import checks, images, motion
 from recast.logs.checks import refused
@@ -73,7 +73,7 @@ class StoredImages:
 
     def encoded(self, index: int) -> tuple[bytes, str]:
         """The bytes of frame `index` and their format. Raises InputError: they cannot be read."""
-        reader = self.store.component(CameraSensorComponent.Reader, names.folder_name(self.camera))
+        reader = self.store.component(CameraSensorComponent.Reader, files.folder_name(self.camera))
         with readable(self.store.folder, f"camera {self.camera}, frame {index}"):
             frame = reader.get_frame_data(self.frame_ids[index])
             return bytes(frame.get_encoded_image_data()), str(frame.get_encoded_image_format())
@@ -95,7 +95,7 @@ class StoredSweeps:
 
     def __getitem__(self, index: int) -> LidarSweep:
         """Decode sweep `index`. Raises InputError: it is damaged."""
-        reader = self.store.component(LidarSensorComponent.Reader, names.folder_name(self.lidar))
+        reader = self.store.component(LidarSensorComponent.Reader, files.folder_name(self.lidar))
         with readable(self.store.folder, f"LiDAR {self.lidar}, sweep {index}"):
             sweep = self._decode(reader, self.frame_ids[index])
             sweep.validate("sweep")
@@ -136,7 +136,7 @@ def read_camera(store: NcoreFolder, name: str, camera: PinholeCamera) -> CameraS
     """
     times: Int64Array = np.zeros(0, np.int64)
     frames: tuple[int, ...] = ()
-    stored = names.folder_name(name)
+    stored = files.folder_name(name)
     with readable(store.folder, f"camera {name!r}"):
         if store.has(CameraSensorComponent.Reader, stored):
             reader = store.component(CameraSensorComponent.Reader, stored)
@@ -172,7 +172,7 @@ def _mask(store: NcoreFolder, stored: str, size: tuple[int, int]) -> Mask | None
 
 def read_lidar(store: NcoreFolder, name: str, world_from_rig: Trajectory) -> LidarStream:
     """One LiDAR with lazy sweeps. Raises InputError: a part of it is missing or damaged."""
-    stored = names.folder_name(name)
+    stored = files.folder_name(name)
     reader = store.component(LidarSensorComponent.Reader, stored)
     with readable(store.folder, f"LiDAR {name!r}"):
         frames = tuple(reader.frames_timestamps_us.reshape(-1, 2)[:, 1].astype(np.int64).tolist())

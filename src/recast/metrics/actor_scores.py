@@ -46,7 +46,7 @@ from recast.reconstruction.views import (
     visible_rectangle,
 )
 from recast.scene import SceneRasterizer, StreetScene
-from recast.scene.poses import pose_at
+from recast.scene.street_scene import pose_at
 from recast.splats import Gaussians, LowPass
 
 Targets = Literal["set", "orbit"]

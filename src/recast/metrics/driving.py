@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike
 from recast.arrays import Array, BoolArray
 from recast.dynamics import ground_velocities, plan_to_poses
 from recast.dynamics import state as ego
-from recast.dynamics.comfort import NUPLAN_LIMITS, PLAN_LIMITS, check, plan_signals, savgol_signals
+from recast.dynamics.tracker import NUPLAN_LIMITS, PLAN_LIMITS, check, plan_signals, savgol_signals
 from recast.geometry import Polyline, boxes, se2
 from recast.metrics.table import Metric, invalid
 

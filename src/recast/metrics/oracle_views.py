@@ -19,9 +19,9 @@ from recast.actors.coverage import CoverageMeter, Shares
 from recast.actors.observation import score_frame
 from recast.arrays import Array, Image
 from recast.cameras import CameraMount, PinholeCamera
+from recast.core.diagnostics import Progress, tell
 from recast.core.errors import InputError
 from recast.core.files import atomic_folder, write_json
-from recast.core.progress import Progress, tell
 from recast.dynamics import PACIFICA
 from recast.geometry import boxes, se2, se3
 from recast.logs import DrivingLog, Track
@@ -39,7 +39,7 @@ from recast.metrics.oracle_scores import (
 from recast.planning import ReferenceRoute
 from recast.reconstruction.scores import Rectangle
 from recast.scene import SceneRasterizer, StreetScene
-from recast.scene.poses import moves
+from recast.scene.street_scene import moves
 from recast.simulation.recorded_road import RoadSurface
 
 _CLEARANCE = 1.0

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from recast.arrays import Array
 from recast.dynamics import IdmParameters, idm_acceleration
 from recast.dynamics import state as ego
-from recast.dynamics.idm import NUPLAN_PLANNER
+from recast.dynamics.state import NUPLAN_PLANNER
 from recast.geometry import boxes, se2
 from recast.planning.route import ReferenceRoute, route_lanes
 from recast.planning.types import (

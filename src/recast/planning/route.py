@@ -14,7 +14,7 @@ from scipy.interpolate import CubicSpline
 from recast.arrays import Array
 from recast.core.errors import InputError
 from recast.geometry import Polyline, se2
-from recast.geometry.polyline import REACH
+from recast.geometry.se2 import REACH
 from recast.logs.hdmap import HdMap, Lane
 from recast.logs.types import Trajectory
 

@@ -1,7 +1,19 @@
 """Published networks in folders of the user's: read strictly, never fetched."""
 
 from recast.pretrained.clip_t5 import clip_t5_files
-from recast.pretrained.folder import PretrainedFolder, model_type
+from recast.pretrained.folder import (
+    BATCH,
+    Picture,
+    PretrainedFolder,
+    in_batches,
+    mean_colour,
+    model_type,
+    network_input,
+    padded_square,
+    resized,
+    square_crop,
+    whole_picture,
+)
 from recast.pretrained.image_text import (
     VQA_SCORERS,
     Clip,
@@ -9,17 +21,6 @@ from recast.pretrained.image_text import (
     VqaScorer,
     checked_scores,
     load_vqa_scorer,
-)
-from recast.pretrained.pictures import (
-    BATCH,
-    Picture,
-    in_batches,
-    mean_colour,
-    network_input,
-    padded_square,
-    resized,
-    square_crop,
-    whole_picture,
 )
 
 __all__ = [

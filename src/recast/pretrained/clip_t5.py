@@ -17,15 +17,17 @@ from recast.core.errors import InputError
 from recast.core.files import read_json
 from recast.pretrained.folder import (
     CONFIG_FILE,
+    Picture,
     first_line,
     has_weights,
+    input_size,
     model_type,
+    network_input,
     network_of,
     quiet,
     read_weights,
     weight_files,
 )
-from recast.pretrained.pictures import Picture, input_size, network_input
 
 QUESTION = 'Does this figure show "{}"? Please answer yes or no.'
 ANSWER = "Yes"

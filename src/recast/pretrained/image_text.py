@@ -17,8 +17,16 @@ from torch import Tensor
 from recast.arrays import Array
 from recast.core.errors import InputError
 from recast.core.plugins import Registry
-from recast.pretrained.folder import PretrainedFolder, model_type
-from recast.pretrained.pictures import BATCH, Fit, Picture, in_batches, mean_colour, network_input
+from recast.pretrained.folder import (
+    BATCH,
+    Fit,
+    Picture,
+    PretrainedFolder,
+    in_batches,
+    mean_colour,
+    model_type,
+    network_input,
+)
 
 
 @dataclass(frozen=True)

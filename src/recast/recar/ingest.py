@@ -20,8 +20,8 @@ import cv2
 import numpy as np
 
 from recast.core import files
+from recast.core.diagnostics import Progress, tell
 from recast.core.errors import InputError
-from recast.core.progress import Progress, tell
 from recast.core.records import Record, validated
 from recast.core.workers import worker_pool
 from recast.recar.ingest_folder import check_sizes, photographs_of, pick_photographs

@@ -24,8 +24,7 @@ from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, ValidationError
 
 from recast.arrays import Array
 from recast.core.errors import InputError
-from recast.core.files import disk_errors, read_json, read_text
-from recast.core.names import member
+from recast.core.files import disk_errors, member, read_json, read_text
 from recast.core.records import validation_error
 from recast.geometry import se3
 from recast.recar.ingest_photograph import (

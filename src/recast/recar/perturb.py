@@ -16,7 +16,7 @@ from pydantic import AfterValidator, Field, model_validator
 from recast.arrays import Image
 from recast.core import files
 from recast.core.errors import InputError
-from recast.core.lettering import draw_text
+from recast.core.images import draw_text
 from recast.core.records import Record, read_record
 from recast.logs.images import encode
 from recast.recar.perturb_camera import Compression, Defocus, Fog, LowLight, MotionBlur, Resampling

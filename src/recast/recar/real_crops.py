@@ -23,9 +23,8 @@ from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, ValidationError
 from recast.arrays import Array, Image
 from recast.cameras import PinholeCamera
 from recast.core.errors import InputError
-from recast.core.files import read_json
+from recast.core.files import member, read_json
 from recast.core.images import decode_image, decode_mask, rgb
-from recast.core.names import member
 from recast.core.records import validation_error
 from recast.recar.ingest_photograph import MOST_PIXELS
 from recast.recar.vehicle_set import Metres, Text

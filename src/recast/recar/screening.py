@@ -19,10 +19,10 @@ import numpy as np
 
 from recast.arrays import Image
 from recast.core import files
+from recast.core.diagnostics import Progress, tell
 from recast.core.errors import InputError, printable
 from recast.core.files import disk_errors
-from recast.core.lettering import draw_text
-from recast.core.progress import Progress, tell
+from recast.core.images import draw_text
 from recast.logs.images import encode
 from recast.recar.ingest import read_doubts
 from recast.recar.ingest_table import OVERFLOW, csv_rows

@@ -18,7 +18,7 @@ from rich.text import Text
 from recast.arrays import Image
 from recast.core import files
 from recast.core.errors import printable
-from recast.core.lettering import draw_text
+from recast.core.images import draw_text
 from recast.geometry.colour import linear_to_srgb
 from recast.logs.images import encode
 from recast.recar.screening import read_decisions

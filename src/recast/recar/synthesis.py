@@ -13,9 +13,9 @@ import numpy as np
 
 from recast.arrays import Array, Image
 from recast.cameras import PinholeCamera
+from recast.core.diagnostics import Progress, tell
 from recast.core.errors import InputError, require_range
 from recast.core.files import alone_in
-from recast.core.progress import Progress, tell
 from recast.core.workers import worker_pool
 from recast.geometry import se3
 from recast.recar.vehicle_set import (

@@ -19,9 +19,9 @@ from numpy.typing import NDArray
 from pydantic import Field, FiniteFloat
 
 from recast.core import files
-from recast.core.array_files import read_npz
 from recast.core.errors import InputError
 from recast.core.records import Record, read_record
+from recast.core.table_files import read_npz
 from recast.recar.screening import Decision, read_decisions
 from recast.recar.vehicle_set import IdentityName, Split, Text
 from recast.recar.views import write_arrays

@@ -14,7 +14,7 @@ from pydantic import Field, FiniteFloat
 
 from recast.arrays import Image
 from recast.core.errors import InputError
-from recast.core.lettering import draw_text
+from recast.core.images import draw_text
 from recast.core.records import Record
 from recast.logs.images import encode
 from recast.recar.target_cache import CachedModelRecord, FilterRecord, Heading, Target, TargetRecord

@@ -16,9 +16,9 @@ from rich.table import Table
 from rich.text import Text
 
 from recast.core import files
+from recast.core.diagnostics import Progress, tell
 from recast.core.errors import InputError, printable
 from recast.core.images import decode_image, rgb
-from recast.core.progress import Progress, tell
 from recast.core.workers import in_this_process, worker_pool
 from recast.recar.screening import PASSED, ScreenedVehicle
 from recast.recar.statistics import summary_table

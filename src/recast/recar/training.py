@@ -47,16 +47,15 @@ from recast.recar.training_flow import (
     StructureFlow,
 )
 from recast.recar.vehicle_set import SET_FILE
-from recast.training.loop import Processes, train
-from recast.training.state import TrainingState, steps_done
-from recast.training.task import (
+from recast.training.loop import (
     LOG_FILE,
-    Means,
-    TrainerSettings,
+    Processes,
     TrainingBar,
     read_log_lines,
     tensorboard_writer,
+    train,
 )
+from recast.training.state import Means, TrainerSettings, TrainingState, steps_done
 from recast.trellis import ImageTo3D
 from recast.trellis.checkpoints import BACKBONE_FOLDER, PipelineRecord
 from recast.trellis.generate import Stopwatch

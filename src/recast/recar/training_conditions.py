@@ -18,8 +18,8 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from recast.arrays import Image
-from recast.core.array_files import read_npz
 from recast.core.errors import InputError
+from recast.core.table_files import read_npz
 from recast.recar.screening import read_decisions
 from recast.recar.vehicle_set import SET_FILE, Split, VehicleSet, read_set
 from recast.recar.views import write_arrays

@@ -14,7 +14,7 @@ from recast.core.errors import InputError
 from recast.core.files import read_json, write_json
 from recast.core.records import Record, read_record, validation_error
 from recast.recar.perturb import PerturbationConfig
-from recast.training.task import TrainerSettings, overridden
+from recast.training.state import TrainerSettings, overridden
 
 FlowName = Literal["structure", "latent"]
 

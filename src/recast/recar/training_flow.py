@@ -16,7 +16,7 @@ from torch import Tensor, nn
 from recast.arrays import Image
 from recast.core.errors import InputError
 from recast.core.files import write_bytes
-from recast.core.lettering import draw_text
+from recast.core.images import draw_text
 from recast.logs.images import encode
 from recast.recar.target_cache import Target, TargetCache
 from recast.recar.target_views import Viewpoint, render
@@ -29,8 +29,8 @@ from recast.recar.training_conditions import (
 )
 from recast.recar.training_config import FlowObjective
 from recast.splats import Gaussians
+from recast.training.loop import StepLoss, StepRandom
 from recast.training.state import TrainingState
-from recast.training.task import StepLoss, StepRandom
 from recast.trellis import GenerationLimits, ImageTo3D, generate
 from recast.trellis.flow_transformer import SLatFlowModel, SparseStructureFlowModel
 from recast.trellis.sampler import (

@@ -21,9 +21,9 @@ from pydantic import AfterValidator, Field, FiniteFloat
 from recast.arrays import Array, Image
 from recast.cameras import PinholeCamera
 from recast.core import files
+from recast.core.diagnostics import Progress, tell
 from recast.core.errors import InputError
 from recast.core.files import disk_errors, read_bytes
-from recast.core.progress import Progress, tell
 from recast.core.records import Record, read_record
 from recast.recar.views import (
     HEADER_BYTES,

@@ -7,14 +7,14 @@ from recast.reconstruction.config import (
     resolve_config,
     write_config,
 )
-from recast.reconstruction.evaluate import evaluate_scene
-from recast.reconstruction.evaluation import (
+from recast.reconstruction.evaluate import (
     SHIFTS,
     FrameScore,
     SceneEvaluation,
     ShiftedView,
     ShiftScores,
     ViewShift,
+    evaluate_scene,
 )
 from recast.reconstruction.scores import RegionScore, psnr, ssim
 from recast.reconstruction.train import (

@@ -23,8 +23,8 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from recast.arrays import Array
-from recast.core.array_files import npz_names, read_npz
 from recast.core.errors import InputError
+from recast.core.table_files import npz_names, read_npz
 from recast.geometry import se3
 from recast.logs import Track, Trajectory
 from recast.logs.checks import WORLD_REACH, check_times

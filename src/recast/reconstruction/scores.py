@@ -19,8 +19,7 @@ from recast.cameras import box_outline
 from recast.logs import DrivingLog, LidarStream, Track
 from recast.reconstruction.points import OwnedSweep, depth_samples, read_sweeps
 from recast.reconstruction.views import TrainingView
-from recast.scene.poses import moves, pose_at
-from recast.scene.render import SceneImage
+from recast.scene.street_scene import SceneImage, moves, pose_at
 
 WINDOW = 11
 SIGMA = 1.5

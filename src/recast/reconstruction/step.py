@@ -25,8 +25,9 @@ from recast.reconstruction.densify import (
 )
 from recast.reconstruction.first_points import Initialisation
 from recast.reconstruction.losses import LOSS_TERMS, Drawing, DrawnView, Span, total_loss
-from recast.reconstruction.schedule import (
+from recast.reconstruction.settings import (
     FLIPS,
+    OPTIM,
     DensitySchedule,
     coarse_factor,
     gaussian_rates,
@@ -34,7 +35,6 @@ from recast.reconstruction.schedule import (
     picked_view,
     pose_factor,
 )
-from recast.reconstruction.settings import OPTIM
 from recast.reconstruction.tables import (
     AdamTable,
     CameraPoses,
@@ -44,11 +44,9 @@ from recast.reconstruction.tables import (
     make_sky,
 )
 from recast.reconstruction.views import Level, TrainingView, make_levels, visible_rectangle
-from recast.scene.actor import Deforming, SceneActor
-from recast.scene.appearance import coloured, frozen, mirrored, share_of
-from recast.scene.poses import DEFORMABLE
+from recast.scene.actor import Deforming, SceneActor, coloured, frozen, mirrored, share_of
 from recast.scene.store import save_scene
-from recast.scene.street_scene import StreetScene
+from recast.scene.street_scene import DEFORMABLE, StreetScene
 from recast.splats import Gaussians, RasterMeta, RowAdam, concatenate, rasterize
 
 Shape = Callable[[Gaussians], Gaussians]
@@ -302,7 +300,7 @@ class TrainableScene:
         background: world-frame parameters, views into the buffer.
         local: all actors' parameters, box frames, one after the other.
         fourier: (A, F - 1, 3) how the actors' colours change over their time, see
-            `recast.scene.appearance`; F is 1 where they do not.
+            `recast.scene.actor`; F is 1 where they do not.
     """
 
     background: Gaussians
@@ -362,7 +360,7 @@ class TrainableScene:
 
         Args:
             shares: shares of each actor's time, where colours change with it.
-            flipped: (A,) bool, rows of actors to draw mirrored; see `recast.scene.appearance`.
+            flipped: (A,) bool, rows of actors to draw mirrored; see `recast.scene.actor`.
             shapes: what moves the Gaussians of an actor within its box, differentiable.
         """
         first = len(self.background)

@@ -15,12 +15,10 @@ from recast.arrays import Array, Int64Array
 from recast.cameras import PinholeCamera
 from recast.logs import Track, Trajectory
 from recast.reconstruction.config import SceneConfig
-from recast.reconstruction.schedule import DEFORMATION, generator
-from recast.reconstruction.settings import OPTIM
+from recast.reconstruction.settings import DEFORMATION, OPTIM, generator
 from recast.reconstruction.views import TrainingView, deforms
-from recast.scene.appearance import exposed_colours
+from recast.scene.actor import exposed_colours
 from recast.scene.deformation import Deformation, DeformationNetwork, layer_shapes
-from recast.scene.poses import pose_at, stands, twist_matrix
 from recast.scene.sky import (
     OPAQUE,
     SkyMap,
@@ -30,6 +28,7 @@ from recast.scene.sky import (
     sky_from_cubemap,
     texel_directions,
 )
+from recast.scene.street_scene import pose_at, stands, twist_matrix
 from recast.splats.adam import BETA1, BETA2, EPSILON
 
 

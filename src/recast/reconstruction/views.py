@@ -20,7 +20,7 @@ from recast.geometry import se3
 from recast.logs import CameraStream, DrivingLog, Track, Trajectory, all_track_points
 from recast.reconstruction.config import SceneConfig
 from recast.reconstruction.settings import INIT
-from recast.scene.poses import ARTICULATED, DEFORMABLE, moves, pose_at, stands
+from recast.scene.street_scene import ARTICULATED, DEFORMABLE, moves, pose_at, stands
 
 
 @dataclass(frozen=True)

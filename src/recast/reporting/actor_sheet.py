@@ -13,7 +13,7 @@ from recast.actors.actor import CandidateRecord
 from recast.actors.coverage import Coverage
 from recast.actors.drawing import coloured_by_shares
 from recast.arrays import Image
-from recast.core.lettering import wrapped
+from recast.core.images import wrapped
 from recast.reporting import palette
 from recast.reporting.canvas import Canvas, CanvasView
 from recast.splats.sh import C0

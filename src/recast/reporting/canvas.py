@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from recast.arrays import Array, Image
-from recast.core.lettering import draw_text
+from recast.core.images import draw_text
 from recast.reporting.palette import GROUND, TEXT, Colour
 
 _SHIFT = 4  # cv2 draws at 1/16 pixel

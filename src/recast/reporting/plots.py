@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from recast.arrays import Array
 from recast.core.files import atomic_file, disk_errors
-from recast.dynamics.comfort import PLAN_LIMITS
+from recast.dynamics.tracker import PLAN_LIMITS
 from recast.geometry import boxes, se2
 from recast.metrics.driving import CAP, TOUCHING
 from recast.metrics.trust import Reliability

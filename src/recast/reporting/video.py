@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from recast.arrays import Image
 from recast.core.errors import InputError
 from recast.core.files import atomic_file
-from recast.core.lettering import draw_text
+from recast.core.images import draw_text
 
 _BT709 = 1  # code point shared by primaries, transfer and matrix in ITU-T H.273
 _LIMITED_RANGE = 1

@@ -38,8 +38,8 @@ from recast.actors.observation import Usable
 from recast.actors.refine import refine
 from recast.actors.register import choose
 from recast.core import files
+from recast.core.diagnostics import Progress, ProgressBar
 from recast.core.errors import InputError
-from recast.core.progress import Progress, ProgressBar
 from recast.geometry import boxes, se3
 from recast.logs import DrivingLog
 from recast.metrics import evaluate_oracle_views

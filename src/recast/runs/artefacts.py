@@ -13,7 +13,7 @@ from recast.actors import Actor, insert, load_actor
 from recast.cameras import CameraMount
 from recast.core import Artefact, Store
 from recast.core.artefact import value_hash
-from recast.core.progress import ProgressBar
+from recast.core.diagnostics import ProgressBar
 from recast.planning import Planner, looked_at, make_planner
 from recast.reconstruction import SceneConfig
 from recast.reconstruction.views import modelled_tracks

@@ -27,7 +27,7 @@ from recast.runs.arms import (
     parse_arms,
     require_undisturbed,
 )
-from recast.scene.imported import IMPORT_FILE
+from recast.scene.exchange import IMPORT_FILE
 from recast.simulation import (
     MOTIONS,
     ScriptedMotion,

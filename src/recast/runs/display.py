@@ -13,8 +13,8 @@ from rich.text import Text
 
 from recast.actors import Actor
 from recast.actors.actor import CandidateRecord
+from recast.core.diagnostics import Bars
 from recast.core.errors import printable
-from recast.core.progress import Bars
 from recast.metrics import COLUMNS, OracleViews
 
 

@@ -16,7 +16,7 @@ from recast.actors import Actor, load_actor
 from recast.actors.icp import INLIER_DISTANCE
 from recast.core import Artefact, Store
 from recast.core.errors import InputError
-from recast.core.names import member
+from recast.core.files import member
 from recast.logs import DrivingLog, HdMap, map_of, read_log
 from recast.metrics import RolloutMetrics
 from recast.reporting import (

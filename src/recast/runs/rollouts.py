@@ -20,7 +20,7 @@ from recast.actors.coverage import CoverageMeter
 from recast.cameras import CameraMount
 from recast.core import files
 from recast.core.errors import InputError, UnreachableError
-from recast.core.names import folder_name, member
+from recast.core.files import folder_name, member
 from recast.core.records import Record, read_record, validation_error
 from recast.logs import DrivingLog, HdMap
 from recast.planning import (

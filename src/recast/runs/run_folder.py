@@ -19,10 +19,10 @@ from pydantic import Field
 
 from recast import __version__
 from recast.core import Artefact, Store, files, open_store
+from recast.core.artefact import remote_path
 from recast.core.errors import InputError
-from recast.core.names import folder_name
+from recast.core.files import folder_name
 from recast.core.records import Record, parse_record, read_record
-from recast.core.remote import remote_path
 from recast.logs.load import local_folder
 from recast.runs.config import CONFIG_VERSION, RunConfig
 

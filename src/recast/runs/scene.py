@@ -16,8 +16,8 @@ from rich.table import Table
 from rich.text import Text
 
 from recast.arrays import Image
+from recast.core.diagnostics import ProgressBar
 from recast.core.errors import printable
-from recast.core.progress import ProgressBar
 from recast.logs import DrivingLog
 from recast.metrics.perceptual import load_distances
 from recast.reconstruction import (
@@ -31,7 +31,7 @@ from recast.reconstruction import (
     read_training_config,
 )
 from recast.scene import load_scene
-from recast.scene.imported import IMPORT_FILE
+from recast.scene.exchange import IMPORT_FILE
 from recast.synthetic import Oracle, is_synthetic, world_of
 from recast.synthetic.oracle import OraclePool
 from recast.synthetic.rig import exposure, sensor_number

@@ -31,7 +31,7 @@ from recast.metrics.trust import (
     trust_features,
 )
 from recast.planning import ShownView
-from recast.reconstruction.evaluation import EVALUATION_VERSION
+from recast.reconstruction.evaluate import EVALUATION_VERSION
 from recast.reconstruction.scores import DepthScore, RegionScore
 from recast.runs.arms import Arm, under_other_noise
 from recast.runs.config import RunConfig

@@ -13,11 +13,10 @@ from rich.console import Console
 from recast.actors import DEFAULT_GENERATOR, GENERATORS, SEGMENTERS
 from recast.actors.library import LIBRARY
 from recast.actors.vehicle_files import files_of_vehicle, is_vehicle_file
-from recast.core.artefact import file_hash, files_hash, folder_hash
+from recast.core.artefact import file_hash, files_hash, folder_hash, remote_path
+from recast.core.diagnostics import ProgressBar
 from recast.core.errors import InputError
 from recast.core.plugins import RESTORERS
-from recast.core.progress import ProgressBar
-from recast.core.remote import remote_path
 from recast.logs import DrivingLog, HdMap, map_of, read_log
 from recast.logs.load import local_folder
 from recast.planning import planner_source

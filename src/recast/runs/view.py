@@ -19,9 +19,9 @@ from recast.actors import Actor, load_actor
 from recast.actors.insert import insert
 from recast.actors.vehicle_files import ACTOR_FILE
 from recast.core import Artefact, Store
+from recast.core.diagnostics import Progress
 from recast.core.errors import InputError, require_range
-from recast.core.names import folder_name
-from recast.core.progress import Progress
+from recast.core.files import folder_name
 from recast.logs import DrivingLog, HdMap, Trajectory, map_of, read_log
 from recast.logs.store import LOG_FILE
 from recast.planning import Plan, Planner, PlannerAround, PlannerInput, make_planner

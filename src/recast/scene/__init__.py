@@ -1,11 +1,10 @@
 """A street as 3D Gaussians: background, actors and sky; how it is drawn, stored and imported."""
 
 from recast.scene.actor import SceneActor
-from recast.scene.export import export_scene, export_scene_at
-from recast.scene.render import SceneImage, SceneRasterizer, render_scene
+from recast.scene.exchange import export_scene, export_scene_at
 from recast.scene.sky import SkyMap
 from recast.scene.store import load_scene, save_scene
-from recast.scene.street_scene import StreetScene
+from recast.scene.street_scene import SceneImage, SceneRasterizer, StreetScene, render_scene
 
 __all__ = [
     "SceneActor",

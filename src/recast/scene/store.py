@@ -16,13 +16,11 @@ from safetensors.torch import save
 from torch import Tensor
 
 from recast.core.errors import InputError
-from recast.core.files import parse_json, write_bytes, write_json
-from recast.core.names import folder_name, member
+from recast.core.files import folder_name, member, parse_json, write_bytes, write_json
 from recast.core.records import Record, read_record
 from recast.core.torch_file import read_safetensors
 from recast.logs import DrivingLog, Trajectory
-from recast.scene.actor import Deforming, SceneActor
-from recast.scene.appearance import Appearance
+from recast.scene.actor import Appearance, Deforming, SceneActor
 from recast.scene.deformation import MOST_LAYERS, Deformation, DeformationNetwork, Skinning
 from recast.scene.sky import SkyMap
 from recast.scene.street_scene import StreetScene

@@ -1,4 +1,4 @@
-"""A reconstructed street: what never moves, what does, and the sky."""
+"""A reconstructed street: what never moves, what does and where it is, the sky; its images."""
 
 from __future__ import annotations
 
@@ -11,13 +11,101 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from recast.arrays import Array, Int64Array
+from recast.arrays import Array, Float32Array, Int64Array
+from recast.cameras import PinholeCamera
+from recast.logs import Trajectory
 from recast.logs.checks import check_times
-from recast.scene.actor import SceneActor, check_gaussians
-from recast.scene.appearance import exposed, exposed_colours
-from recast.scene.poses import corrected, pose_at, stands
-from recast.scene.sky import SkyMap
-from recast.splats import Gaussians, concatenate
+from recast.scene.actor import DrawnActor, SceneActor, check_gaussians, exposed, exposed_colours
+from recast.scene.sky import SkyMap, composite, pixel_coordinates
+from recast.splats import (
+    Gaussians,
+    RasterImages,
+    Window,
+    concatenate,
+    freeze,
+    morton_order,
+    pick_device,
+    rasterize_frozen,
+)
+
+DEFORMABLE = frozenset({"pedestrian"})
+"""Categories that are not symmetric at every moment."""
+ARTICULATED = frozenset({"pedestrian", "cyclist"})
+"""Categories that have limbs: what deformable nodes are for."""
+MOVED_M = 2.0
+SPREAD_M = 0.5
+CLOCK_TOLERANCE_US = 60_000
+"""Sensors of one frame fire up to half a period of 10 Hz (and a little) apart."""
+
+
+def moves(trajectory: Trajectory) -> bool:
+    """Whether a track counts as moving in the world.
+
+    First and last position more than 2 m apart, or a spread along an axis above 0.5 m (Street
+    Gaussians' rule), the first so that label noise of parked cars does not count.
+    """
+    positions = trajectory.poses[:, :3, 3]
+    travelled = float(np.linalg.norm(positions[-1] - positions[0]))
+    return travelled > MOVED_M or bool(np.any(positions.std(axis=0) > SPREAD_M))
+
+
+def stands(trajectory: Trajectory) -> bool:
+    """Whether every pose is the same, as `choose_actors` makes those of parked vehicles."""
+    return bool(np.all(trajectory.poses == trajectory.poses[:1]))
+
+
+def pose_at(trajectory: Trajectory, timestamp_us: int) -> Array | None:
+    """World pose (4, 4) at a time, or None where the track is absent.
+
+    Interpolated in the world frame. A camera that fires shortly before the first or after the last
+    label still saw the object: there the end pose is held.
+    """
+    first, last = int(trajectory.timestamps_us[0]), int(trajectory.timestamps_us[-1])
+    if not first - CLOCK_TOLERANCE_US <= timestamp_us <= last + CLOCK_TOLERANCE_US:
+        return None
+    return trajectory.at(min(max(timestamp_us, first), last))
+
+
+def corrected(
+    camera_from_world: Array,
+    corrections: Mapping[str, tuple[Int64Array, Array]],
+    camera_name: str,
+    timestamp_us: int,
+) -> Array:
+    """A logged pose (4, 4) with the learned correction at its time.
+
+    Interpolated linearly between the neighbouring training views, held before the first and after
+    the last; cameras that were not trained on stay as logged.
+    """
+    if camera_name not in corrections:
+        return camera_from_world
+    times, twists = corrections[camera_name]
+    twist = [np.interp(timestamp_us, times, twists[:, i]) for i in range(6)]
+    moved: Array = twist_matrix(torch.tensor(twist, dtype=torch.float64)).numpy()
+    return moved @ camera_from_world
+
+
+def twist_matrix(twist: Tensor) -> Tensor:
+    """Rigid matrix (4, 4) of a twist (6,): rotation by Rodrigues' formula, translation as it is.
+
+    The translation is not multiplied by SO(3)'s left Jacobian: the parametrisation is as good a
+    chart near zero, and decoupled.
+    """
+    rotation = twist[3:]
+    theta2 = rotation.dot(rotation)
+    small = theta2 < 1e-8
+    safe = torch.where(small, torch.ones_like(theta2), theta2)
+    theta = safe.sqrt()
+    a = torch.where(small, 1 - theta2 / 6, theta.sin() / theta)
+    b = torch.where(small, 0.5 - theta2 / 24, (1 - theta.cos()) / safe)
+    x, y, z = rotation.unbind()
+    zero = torch.zeros_like(x)
+    skew = torch.stack([zero, -z, y, z, zero, -x, -y, x, zero]).view(3, 3)
+    turn = torch.eye(3, dtype=twist.dtype) + a * skew + b * (skew @ skew)
+    top = torch.cat([turn, twist[:3, None]], dim=1)
+    bottom = torch.tensor([[0.0, 0.0, 0.0, 1.0]], dtype=twist.dtype)
+    return torch.cat([top, bottom])
+
 
 MOST_CORRECTED = 100.0
 """Largest learned correction of a camera, metres or radians."""
@@ -40,7 +128,7 @@ class StreetScene:
         sky: colour at infinity.
         world_offset: (3,) float64, dataset coordinates = world coordinates + offset.
         camera_corrections: learned camera pose corrections by camera name: times (F,) int64 and
-            twists (F, 6) (see `recast.scene.poses.corrected`).
+            twists (F, 6) (see `recast.scene.street_scene.corrected`).
         log_name: the log it was made from.
         origin: the folder that it was read from; None for one that was changed or never saved.
     """
@@ -131,3 +219,140 @@ class StreetScene:
             actors={name: actor.exposed(affine) for name, actor in self.actors.items()},
             sky=SkyMap(exposed_colours(self.sky.colours, affine).clamp(0, 1)),
         )
+
+
+_FAR = 1e10
+"""Metres; all that is farther is sky."""
+
+
+@dataclass(frozen=True)
+class SceneImage:
+    """One rendered view.
+
+    Attributes:
+        rgb: (H, W, 3) float32 in [0, 1].
+        depth: (H, W) float32, sum of T alpha z in metres, not divided by alpha.
+        alpha: (H, W) float32 accumulated opacity; the rest is sky.
+    """
+
+    rgb: Float32Array
+    depth: Float32Array
+    alpha: Float32Array
+
+
+class SceneRasterizer:
+    """Draws one scene again and again: what does not change is worked out once.
+
+    Args:
+        device: device to draw on, see `recast.splats.pick_device`.
+
+    Raises:
+        InputError: there is no such device, or gsplat is missing.
+    """
+
+    def __init__(self, scene: StreetScene, device: str = "auto") -> None:
+        place = pick_device(device)
+        self._standing = scene.standing
+        self._sky = scene.sky.colours.to(place)
+        background = scene.background.detach()
+        self._background = freeze(background.select(morton_order(background.means)).to(place))
+        self._actors = {
+            track_id: DrawnActor(actor, place) for track_id, actor in scene.actors.items()
+        }
+
+    def render(
+        self,
+        camera: PinholeCamera,
+        camera_from_world: Array,
+        poses: Mapping[str, Array],
+        colours_us: int | None = None,
+        shapes_us: int | None = None,
+    ) -> SceneImage:
+        """Draw one view; see `render_scene` and `draw`."""
+        drawn = self.draw(camera, camera_from_world, poses, colours_us, shapes_us)
+        return SceneImage(
+            rgb=drawn.rgb.cpu().numpy(),
+            depth=drawn.depth.cpu().numpy(),
+            alpha=drawn.alpha.cpu().numpy(),
+        )
+
+    def draw(
+        self,
+        camera: PinholeCamera,
+        camera_from_world: Array,
+        poses: Mapping[str, Array],
+        colours_us: int | None = None,
+        shapes_us: int | None = None,
+        window: Window | None = None,
+    ) -> RasterImages:
+        """Draw one view and leave it where it was drawn, sky included, rgb in [0, 1].
+
+        Args:
+            window: the part of the camera's image to draw, with the pixels of the whole image; None
+                for all of it.
+            colours_us: time of the recording whose colours the actors have, where they change; None
+                for those that they are stored with.
+            shapes_us: time of the recording whose shapes deformable actors have, see
+                `SceneActor.shaped_at`.
+        """
+        result = self.layer(camera, camera_from_world, poses, colours_us, shapes_us, window=window)
+        left, top, right, bottom = window or (0, 0, camera.width, camera.height)
+        # Interpolated between nodes of the whole image.
+        coordinates = pixel_coordinates(camera, camera_from_world)[top:bottom, left:right]
+        with torch.no_grad():
+            rgb = composite(result.rgb, result.alpha, self._sky, coordinates)
+        return replace(result, rgb=rgb.clamp(0, 1))
+
+    def layer(
+        self,
+        camera: PinholeCamera,
+        camera_from_world: Array,
+        poses: Mapping[str, Array],
+        colours_us: int | None = None,
+        shapes_us: int | None = None,
+        *,
+        nearer_than: float = _FAR,
+        street: bool = True,
+        window: Window | None = None,
+    ) -> RasterImages:
+        """Draw Gaussians alone: rgb is premultiplied, on black, without a sky; others as `draw`.
+
+        Args:
+            nearer_than: only Gaussians whose centres lie nearer, metres along the camera's z axis.
+            street: False leaves out all but the actors of `poses`.
+
+        Raises:
+            ValueError: neither street nor actors are to be drawn.
+        """
+        view = torch.from_numpy(np.asarray(camera_from_world, np.float64))
+        K = torch.from_numpy(camera.matrix).float()
+        drawn = [(self._background, torch.eye(4, dtype=torch.float64))] if street else []
+        for track_id, pose in {**(self._standing if street else {}), **poses}.items():
+            world_from_actor = torch.from_numpy(np.array(pose, np.float64))
+            for part in self._actors[track_id].at(pose, colours_us, shapes_us):
+                drawn.append((part, world_from_actor))
+        with torch.no_grad():
+            return rasterize_frozen(
+                drawn, view, K, camera.width, camera.height, far=nearer_than, window=window
+            )
+
+
+def render_scene(
+    scene: StreetScene,
+    camera: PinholeCamera,
+    camera_from_world: Array,
+    poses: Mapping[str, Array],
+) -> SceneImage:
+    """Draw a scene once. For many images of one scene keep a `SceneRasterizer`.
+
+    Args:
+        camera: rectified intrinsics.
+        camera_from_world: (4, 4).
+        poses: `world_from_actor` (4, 4) by track id. Parked vehicles that it does not name are
+            drawn where they stand; other actors that it does not name are not drawn.
+
+    Raises:
+        ValueError: the camera has distortion.
+        KeyError: a pose for an actor that the scene does not have.
+    """
+    return SceneRasterizer(scene).render(camera, camera_from_world, poses)

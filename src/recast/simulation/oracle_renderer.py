@@ -14,8 +14,7 @@ from recast.cameras import CameraMount, PinholeCamera
 from recast.core.workers import Closing
 from recast.geometry import se3
 from recast.geometry.colour import linear_to_srgb, srgb_to_linear
-from recast.scene.render import SceneRasterizer
-from recast.scene.street_scene import StreetScene
+from recast.scene.street_scene import SceneRasterizer, StreetScene
 from recast.simulation.renderer import MountedRenderer, RendererAround, SensorRenderer
 from recast.simulation.rollout import SimState
 from recast.simulation.scene_renderer import SceneRenderer

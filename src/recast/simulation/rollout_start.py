@@ -14,7 +14,7 @@ from recast.core.foreign import ForeignCode, read_only
 from recast.dynamics import initial_state
 from recast.dynamics import state as ego
 from recast.geometry import boxes
-from recast.geometry.polyline import REACH
+from recast.geometry.se2 import REACH
 from recast.logs.checks import WORLD_REACH
 from recast.logs.hdmap import HdMap, drivable_region
 from recast.logs.types import Track

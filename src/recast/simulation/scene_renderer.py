@@ -14,8 +14,7 @@ from recast.cameras import CameraMount, Lens, PinholeCamera
 from recast.core.errors import InputError
 from recast.core.foreign import whole
 from recast.geometry import se3
-from recast.scene.render import SceneRasterizer
-from recast.scene.street_scene import StreetScene
+from recast.scene.street_scene import SceneRasterizer, StreetScene
 from recast.simulation.renderer import BaseRenderer, MountedRenderer, SensorRenderer
 from recast.simulation.rollout import SimState
 from recast.splats import Window

@@ -21,8 +21,15 @@ from torch import Tensor
 
 from recast.arrays import Array
 from recast.core.errors import InputError
-from recast.core.gltf.file import LONGEST_GLB, GlbFile, write_glb
-from recast.core.gltf.tree import POINTS, GltfPart, Primitive, placed_primitives
+from recast.core.gltf_file import (
+    LONGEST_GLB,
+    POINTS,
+    GlbFile,
+    GltfPart,
+    Primitive,
+    placed_primitives,
+    write_glb,
+)
 from recast.core.plugins import entry_points, splat_formats
 from recast.geometry import se3
 from recast.splats import ply

@@ -23,10 +23,10 @@ from recast.actors.generate import generated
 from recast.actors.insert import require_model
 from recast.actors.place import PlacementReport, place_asset
 from recast.arrays import Array, Image
+from recast.core.diagnostics import Progress
 from recast.core.errors import InputError
 from recast.core.files import atomic_folder, write_json
-from recast.core.lettering import draw_text
-from recast.core.progress import Progress
+from recast.core.images import draw_text
 from recast.logs import DrivingLog
 from recast.metrics.actor_scores import (
     ACTOR_COLUMNS,

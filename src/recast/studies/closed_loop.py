@@ -15,8 +15,8 @@ from rich.table import Table
 from recast.actors import make_generator, segmenter_of
 from recast.cameras import CameraMount
 from recast.core import files
+from recast.core.diagnostics import ProgressBar
 from recast.core.errors import InputError, printable
-from recast.core.progress import ProgressBar
 from recast.logs import read_log
 from recast.metrics.table import COLUMNS, Bootstrap, rounded
 from recast.planning import BasePlanner, make_planner

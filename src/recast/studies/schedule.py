@@ -19,9 +19,9 @@ from typing import Any, Literal, Protocol
 from pydantic import BaseModel, ConfigDict, NonNegativeFloat, NonNegativeInt
 
 from recast.core import Artefact, Store, files, open_store
+from recast.core.artefact import Fetch, ParcelDepot, pack
 from recast.core.errors import InputError
 from recast.core.records import read_record
-from recast.core.remote import Fetch, ParcelDepot, pack
 from recast.core.store import NotInStoreError
 from recast.core.workers import fetch_parcel, node_folder, send_parcel, worker_pool
 from recast.runs.rollouts import is_failure

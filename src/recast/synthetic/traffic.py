@@ -14,7 +14,7 @@ from scipy.ndimage import gaussian_filter1d
 
 from recast.arrays import Array
 from recast.core.errors import InputError
-from recast.dynamics.idm import IdmParameters, idm_acceleration
+from recast.dynamics.state import IdmParameters, idm_acceleration
 from recast.geometry import Polyline, se2
 from recast.logs import HdMap
 from recast.synthetic.streets import EGO_START

@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 from PIL import Image as PillowImage
 
 from recast.core import files
+from recast.core.diagnostics import Progress
 from recast.core.errors import InputError, require_range
-from recast.core.progress import Progress
 from recast.geometry import se3
 from recast.logs import (
     CameraStream,

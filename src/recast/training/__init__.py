@@ -1,4 +1,4 @@
 """The training loop that resumes bit for bit; `loop.train` trains any task.
 
-`task` says what is trained and by which settings, `state` is all that a training changes.
+`loop` also says what a task is, `state` holds the settings and all that a training changes.
 """

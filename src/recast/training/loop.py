@@ -1,37 +1,101 @@
-"""The training loop, in one process or those of torchrun: the same steps, interrupted or not."""
+"""The training loop, in one process or those of torchrun: its task, its steps, its log and bars.
+
+The steps are the same, interrupted or not.
+"""
 
 from __future__ import annotations
 
 import atexit
 import importlib
+import json
 import math
 import os
 import time
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import nullcontext
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
+import numpy as np
 import torch
-from torch import Tensor
+from pydantic import TypeAdapter, ValidationError
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeRemainingColumn
+from torch import Tensor, nn
 
+from recast.core.diagnostics import Bars
 from recast.core.errors import InputError
-from recast.core.files import alone_in, disk_errors
-from recast.training.state import TrainingState, steps_done
-from recast.training.task import (
-    LOG_FILE,
-    Means,
-    StepRandom,
-    TrainerSettings,
-    TrainingLog,
-    TrainingTask,
-)
+from recast.core.files import alone_in, disk_errors, parse_json, read_text, write_text
+from recast.core.records import validation_error
+from recast.training.state import Means, TrainerSettings, TrainingState, steps_done
 
 Watch = Callable[[int, dict[str, float]], None]
 Probe = Callable[[], Mapping[str, float]]
 AfterStep = Callable[[TrainingState], None]
 _GIVE_UP = 20  # steps in a row whose loss or gradient is not finite
+_WHOLE = 2**32 - 1  # a part number that no part has
+LOG_FILE = "log.jsonl"
+_LINE: TypeAdapter[dict[str, int | float]] = TypeAdapter(dict[str, int | float])
+_SHOWN = ("loss", "held_out", "gap", "gradient")
+
+
+@dataclass(frozen=True)
+class StepRandom:
+    """All randomness of one step: it depends on seed, step and part alone, so a run can resume.
+
+    Attributes:
+        numpy: generator for choices of data.
+        torch: generator for noise, on the CPU.
+        part, parts: index of this part of the step's batch, and number of all its parts; parts are
+            accumulated one after another, or by several processes at once.
+        seed, step: seed and step from which everything is derived.
+    """
+
+    numpy: np.random.Generator
+    torch: torch.Generator
+    part: int = 0
+    parts: int = 1
+    seed: int = 0
+    step: int = 0
+
+    @staticmethod
+    def of(seed: int, step: int, part: int = 0, parts: int = 1) -> StepRandom:
+        """The randomness of a step, or of one of its accumulated parts."""
+        rng = np.random.default_rng([seed, step, part])
+        noise = torch.Generator().manual_seed(int(rng.integers(2**31)))
+        return StepRandom(rng, noise, part, parts, seed, step)
+
+    def whole(self) -> np.random.Generator:
+        """For choices about the step's whole batch: the same for all its parts."""
+        return np.random.default_rng([self.seed, self.step, _WHOLE])
+
+
+@dataclass(frozen=True)
+class StepLoss:
+    """Loss of one batch.
+
+    Attributes:
+        loss: scalar with its graph.
+        logs: values to show and write, by name; those that are not finite are left out of means.
+            Several processes must give the same names in each step.
+    """
+
+    loss: Tensor
+    logs: Mapping[str, float] = field(default_factory=dict)
+
+
+class TrainingTask(Protocol):
+    """What is trained, and on what."""
+
+    @property
+    def modules(self) -> Mapping[str, nn.Module]:
+        """The networks whose parameters are trained, by name."""
+        ...
+
+    def loss(self, step: int, random: StepRandom) -> StepLoss:
+        """Loss of the batch of a step; the same step and randomness give the same loss."""
+        ...
 
 
 @dataclass(frozen=True)
@@ -231,3 +295,129 @@ def _step(
 def _finite(logs: Mapping[str, float]) -> bool:
     """Whether the losses of all parts and the gradient of a step can be used."""
     return logs["not_finite"] == 0 and math.isfinite(logs["gradient"])
+
+
+class TrainingLog:
+    """Appends to a `log.jsonl`.
+
+    Args:
+        path: path of the file; lines of steps after `step`, which a kill undid, are dropped.
+        step: number of steps done so far.
+        every: number of steps from line to line.
+        pending: means since the last line.
+    """
+
+    def __init__(self, path: Path, step: int, every: int, pending: Means) -> None:
+        self.path, self.every, self.pending = path, every, pending
+        self._since = time.perf_counter()
+        kept = [line for line in read_log_lines(path) if line["step"] <= step]
+        write_text(path, "".join(f"{json.dumps(line)}\n" for line in kept))
+
+    def due(self, step: int) -> bool:
+        """Whether a line ends with this step."""
+        return step % self.every == 0
+
+    def write(self, step: int, extra: Mapping[str, float]) -> dict[str, float]:
+        """Write the line of a step, with further values; gives back what it says.
+
+        `seconds` are those since the last line, or since the training was resumed.
+        """
+        values = {**self.pending.means(), **extra}
+        values = {name: value for name, value in values.items() if math.isfinite(value)}
+        seconds = round(time.perf_counter() - self._since, 3)
+        with disk_errors(self.path), self.path.open("a") as stream:
+            stream.write(json.dumps({"step": step, "seconds": seconds, **values}) + "\n")
+        self.pending.sums.clear()
+        self.pending.counts.clear()
+        self._since = time.perf_counter()
+        return values
+
+
+def read_log_lines(path: Path) -> list[dict[str, float]]:
+    """The lines of a log, but for a last one that a kill cut short; none where there is no log.
+
+    Raises:
+        InputError: another line cannot be read, or is no line of a log.
+    """
+    whole = read_text(path).split("\n")[:-1] if path.exists() else []
+    return [_line(f"{path}: line {number}", text) for number, text in enumerate(whole, 1)]
+
+
+def _line(where: str, text: str) -> dict[str, float]:
+    mend = "remove the line"
+    try:
+        values = _LINE.validate_python(parse_json(where, text))
+    except ValidationError as error:
+        raise validation_error(where, error, mend) from None
+    if not {"step", "seconds"} <= values.keys():
+        raise InputError(where, "line", "lacks step or seconds", mend)
+    return values
+
+
+class TrainingBar(Bars):
+    """A bar with the latest means; where there is no terminal, a line for each line of the log.
+
+    Args:
+        what: name of what is trained.
+        steps: number of steps in all.
+        console: console to write to.
+        writer: TensorBoard writer, see `tensorboard_writer`.
+    """
+
+    def __init__(self, what: str, steps: int, console: Console, writer: Any = None) -> None:
+        self.what, self.steps, self.console, self.writer = what, steps, console, writer
+        super().__init__(
+            TextColumn("{task.description}"),
+            BarColumn(),
+            MofNCompleteColumn(),
+            TimeRemainingColumn(),
+            TextColumn("{task.fields[means]}"),
+            console=console,
+            disable=not console.is_terminal,
+        )
+        self._task = self._bars.add_task(what, total=steps, means="")
+
+    def step(self, done: int) -> None:
+        """So many steps are done."""
+        self._bars.update(self._task, completed=done)
+
+    def means(self, step: int, values: Mapping[str, float], rate: float) -> None:
+        """A line of the log was written.
+
+        Args:
+            step: step that the line ends with.
+            values: values that the line holds.
+            rate: learning rate.
+        """
+        shown = "  ".join(f"{name} {values[name]:.4g}" for name in _SHOWN if name in values)
+        self._bars.update(self._task, means=shown)
+        if not self.console.is_terminal:
+            self.console.print(f"{self.what} {step}/{self.steps}  {shown}", markup=False)
+        if self.writer is not None:
+            for name, value in {**values, "rate": rate}.items():
+                if math.isfinite(value):
+                    self.writer.add_scalar(f"{self.what}/{name}", value, step)
+
+    def __exit__(self, *error: object) -> None:
+        """Stop drawing, and write the last curves."""
+        super().__exit__(*error)
+        if self.writer is not None:
+            self.writer.flush()
+
+
+def tensorboard_writer(folder: Path) -> Any:
+    """A writer of curves into a folder.
+
+    Raises:
+        InputError: tensorboard is not installed.
+    """
+    try:
+        module: Any = importlib.import_module("torch.utils.tensorboard")
+    except ImportError:
+        raise InputError(
+            "`tensorboard`",
+            "package",
+            "tensorboard is not installed",
+            "pip install tensorboard, or leave the option out: log.jsonl holds the same figures",
+        ) from None
+    return module.SummaryWriter(folder)

@@ -1,15 +1,16 @@
-"""All that a training changes: weights, moments, moving average, clipper; and checkpoints of it."""
+"""Settings of a training and all that it changes: weights, moments, averages; their checkpoints."""
 
 from __future__ import annotations
 
 import json
+import math
 import os
 import re
 from collections import deque
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, Literal
 
 import numpy as np
 import torch
@@ -22,12 +23,97 @@ from recast.core.errors import InputError
 from recast.core.files import atomic_file, parse_json
 from recast.core.records import Record, validation_error
 from recast.core.torch_file import opened_safetensors, read_safetensors, require_state
-from recast.training.task import Means, TrainerSettings
 
 STATE_FILE = "state.safetensors"
 _HEADER = "recast-training"
 _MEND = "remove the folder and train again"
 _MOMENTS = ("step", "exp_avg", "exp_avg_sq")  # of AdamW
+Share = Annotated[float, Field(ge=0, lt=1)]
+
+
+class TrainerSettings(Record):
+    """Optimiser, schedule and bookkeeping of one training.
+
+    Attributes:
+        steps: number of steps of the optimiser.
+        lr: peak learning rate of AdamW.
+        schedule: learning rate schedule: constant after the warm-up, or a cosine down to 1 % of the
+            peak.
+        warmup: number of steps over which the rate rises linearly.
+        betas, weight_decay: betas and weight decay of AdamW.
+        ema_decay: decay of the moving average of the weights; None keeps none.
+        clip: norm to which gradients are clipped; "adaptive" as the published trainer does.
+        accumulate: number of batches a step.
+        seed: seed of everything random.
+        checkpoint_every: number of steps between checkpoints.
+        log_every: number of steps between lines of the log.
+    """
+
+    steps: int = Field(ge=1)
+    lr: FiniteFloat = Field(gt=0)
+    schedule: Literal["constant", "cosine"] = "constant"
+    warmup: int = Field(default=0, ge=0)
+    betas: tuple[Share, Share] = (0.9, 0.999)
+    weight_decay: FiniteFloat = Field(default=0.0, ge=0)
+    ema_decay: Share | None = None
+    clip: Annotated[FiniteFloat, Field(gt=0)] | Literal["adaptive"] = "adaptive"
+    accumulate: int = Field(default=1, ge=1)
+    seed: int = Field(default=0, ge=0)
+    checkpoint_every: int = Field(default=500, ge=1)
+    log_every: int = Field(default=50, ge=1)
+
+    def same_course(self, other: TrainerSettings) -> bool:
+        """Whether both take the same steps, as far as both go.
+
+        How often is written does not matter, nor does where a constant schedule ends.
+        """
+        free = {"checkpoint_every", "log_every"}
+        if self.schedule == "constant":
+            free.add("steps")
+        return self.model_dump(exclude=free) == other.model_dump(exclude=free)
+
+    def rate(self, step: int) -> float:
+        """Learning rate of step number `step`, from 0."""
+        warm = min(1.0, (step + 1) / self.warmup) if self.warmup else 1.0
+        if self.schedule == "constant":
+            return self.lr * warm
+        progress = min(1.0, step / self.steps)
+        return self.lr * warm * (0.01 + 0.99 * 0.5 * (1 + math.cos(math.pi * progress)))
+
+
+def overridden(start: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:
+    """Settings with members replaced; objects member by member."""
+    merged = dict(start)
+    for name, value in changes.items():
+        old = merged.get(name)
+        both = isinstance(old, Mapping) and isinstance(value, Mapping)
+        merged[name] = overridden(old, value) if both else value  # type: ignore[arg-type]
+    return merged
+
+
+@dataclass
+class Means:
+    """Sums and counts by name of the values that were finite.
+
+    A checkpoint keeps them, so that the lines of a resumed log are those of an uninterrupted one.
+    """
+
+    sums: dict[str, float] = field(default_factory=dict)
+    counts: dict[str, float] = field(default_factory=dict)
+
+    def add(self, values: Mapping[str, float]) -> None:
+        """Count values in; one that is not finite only makes its name known."""
+        for name, value in values.items():
+            known = math.isfinite(value)
+            self.sums[name] = self.sums.get(name, 0.0) + (value if known else 0.0)
+            self.counts[name] = self.counts.get(name, 0.0) + known
+
+    def means(self) -> dict[str, float]:
+        """By name; NaN where nothing finite was seen."""
+        return {
+            name: total / self.counts[name] if self.counts[name] else math.nan
+            for name, total in self.sums.items()
+        }
 
 
 class AdaptiveGradClipper:

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from recast.actors import Actor
 from recast.arrays import Array, Image
 from recast.cameras import CameraMount, PinholeCamera
-from recast.core.progress import Progress
+from recast.core.diagnostics import Progress
 from recast.dynamics import PACIFICA
 from recast.geometry import se3
 from recast.logs import CameraStream, DrivingLog, HdMap, Trajectory

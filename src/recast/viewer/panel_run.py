@@ -18,7 +18,7 @@ from recast.actors import Actor, BoxLidarSegmenter, observe
 from recast.arrays import Array, Image
 from recast.core import files
 from recast.core.errors import InputError
-from recast.core.names import folder_name
+from recast.core.files import folder_name
 from recast.dynamics import EgoState
 from recast.geometry import se3
 from recast.logs import DrivingLog

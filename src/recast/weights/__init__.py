@@ -1,7 +1,17 @@
 """Published weights by name: fetched once, checked against a record, read offline afterwards."""
 
-from recast.weights.fetched import RECAST_WEIGHTS, located, place, shipped_folder, weights_folder
-from recast.weights.table import PUBLISHED, Licence, Weights, WeightsSource, published
+from recast.weights.table import (
+    PUBLISHED,
+    RECAST_WEIGHTS,
+    Licence,
+    Weights,
+    WeightsSource,
+    located,
+    place,
+    published,
+    shipped_folder,
+    weights_folder,
+)
 
 __all__ = [
     "PUBLISHED",

@@ -21,13 +21,16 @@ from pydantic import Field
 
 from recast.core import files
 from recast.core.errors import InputError
-from recast.core.names import member
+from recast.core.files import member
 from recast.core.records import Record, validated
-from recast.weights.fetched import (
+from recast.weights.table import (
+    HUB,
     RECORD_FILE,
     FetchedFile,
     Sha256,
+    Weights,
     WeightsRecord,
+    WeightsSource,
     file_record,
     opened,
     read_weights_record,
@@ -35,7 +38,6 @@ from recast.weights.fetched import (
     weights_folder,
     written_files,
 )
-from recast.weights.table import HUB, Weights, WeightsSource
 
 MIRROR = "RECAST_WEIGHTS_MIRROR"
 """Environment variable that names a mirror: of the hub, and below HOST/PATH of other hosts."""

@@ -20,7 +20,7 @@ from recast.cameras import CameraMount, Lens
 from recast.core.errors import InputError
 from recast.geometry import se3
 from recast.planning import ConstantVelocity, Plan, PlannerInput
-from recast.scene.render import SceneRasterizer
+from recast.scene.street_scene import SceneRasterizer
 from recast.simulation import MOTIONS, Rollout, RolloutSetup, SensorRenderer, SimState, run_rollout
 from recast.simulation.renderer import MountedRenderer
 from recast.simulation.scene_renderer import SceneRenderer, draw_image, through_lenses

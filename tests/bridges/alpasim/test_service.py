@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from recast.cameras import Lens, PinholeCamera
 from recast.cameras.lenses import fisheye_lens
 from recast.geometry import se3
-from recast.scene.render import SceneRasterizer
+from recast.scene.street_scene import SceneRasterizer
 from recast.simulation.scene_renderer import draw_image
 from recast_bridges.alpasim.messages import message, parse
 from recast_bridges.alpasim.requests import (

@@ -18,7 +18,7 @@ from hypothesis import strategies as st
 
 from recast.core.web_server import WebServer
 from recast.geometry import se3
-from recast.scene.render import SceneRasterizer
+from recast.scene.street_scene import SceneRasterizer
 from recast.simulation.scene_renderer import draw_image
 from recast_bridges.neuroncap import NcapService, ncap_app
 from recast_bridges.neuroncap import service as module

@@ -26,7 +26,7 @@ from recast.geometry import se3
 from recast.logs import DrivingLog
 from recast.reconstruction import SceneConfig, read_config
 from recast.scene import SceneActor, SkyMap, StreetScene, load_scene, save_scene
-from recast.scene.imported import import_gaussians
+from recast.scene.exchange import import_gaussians
 from recast.splats import read_ply, write_ply
 from recast.splats.formats import formats
 from recast.synthetic.vehicles.shapes import read_mesh

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from recast.scene.light.place import LitSurface, PlaceLight, SceneLight
+from recast.scene.light.relight import LitSurface, PlaceLight, SceneLight
 from recast.scene.light.sun import SUN_OVER_SKY
 from recast.splats import Gaussians
 from scene.light import made_up

@@ -11,8 +11,7 @@ from recast.geometry import se3
 from recast.geometry.colour import GAMMA
 from recast.scene import SceneActor, SceneRasterizer
 from recast.scene.light import ActorLight, CastShadow, LitSurface, SceneLight, recorded_light
-from recast.scene.light.place import PlaceLight
-from recast.scene.light.relight import COAT, Paint, rounded
+from recast.scene.light.relight import COAT, Paint, PlaceLight, rounded
 from recast.splats import Gaussians
 from recast.splats.sh import C0
 from scene.light import made_up

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import torch
 
-from recast.scene.light.place import SceneLight
+from recast.scene.light.relight import SceneLight
 from recast.scene.light.sun import SUN_OVER_SKY, Occupancy, directions
 from recast.splats import concatenate
 from recast.splats.sh import basis

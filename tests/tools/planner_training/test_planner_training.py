@@ -10,8 +10,8 @@ from recast.core.errors import InputError
 from recast.core.files import write_json
 from recast.planning import make_planner
 from recast.planning.gtrs import BackboneConfig, BackboneStage, GtrsConfig
-from recast.training.state import STATE_FILE
-from recast.training.task import LOG_FILE, TrainerSettings, read_log_lines
+from recast.training.loop import LOG_FILE, read_log_lines
+from recast.training.state import STATE_FILE, TrainerSettings
 from recast_tools.planner_training.evaluate import truth_sheet
 from recast_tools.planner_training.samples import (
     HELD_OUT_EVERY,

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from recast.core.errors import InputError
-from recast.dynamics.comfort import comfortable_plans
+from recast.dynamics.tracker import comfortable_plans
 from recast_tools.planner_training.vocabulary import (
     make_vocabulary,
     mirror_index,

@@ -25,14 +25,13 @@ import yaml
 from recast import __version__
 from recast.cameras import PinholeCamera
 from recast.core.errors import InputError
-from recast.core.files import atomic_file, disk_errors
-from recast.core.names import member
+from recast.core.files import atomic_file, disk_errors, member
 from recast.dynamics.state import VehicleParameters
 from recast.geometry import se3
 from recast.logs.checks import check_name, refused
 from recast.logs.hdmap import HdMap, map_text
 from recast.logs.types import CameraStream, DrivingLog, Track
-from recast.scene.poses import moves
+from recast.scene.street_scene import moves
 from recast_bridges.openx import write_opendrive
 
 ALIGNMENT = 64

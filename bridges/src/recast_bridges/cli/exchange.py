@@ -237,7 +237,7 @@ class EvalRollouts:
     json: Annotated[bool, JSON] = False
 
     def __call__(self) -> None:
-        from recast.core.progress import ProgressBar
+        from recast.core.diagnostics import ProgressBar
         from recast_bridges.scores.stored import score_rows, score_run, score_table, write_scores
 
         console = console_for(self.json)

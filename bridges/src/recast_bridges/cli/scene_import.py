@@ -13,7 +13,7 @@ from recast.cli import shared
 from recast.cli.shared import WORLD_FROM_SCENE, run_import, tell_import
 
 if TYPE_CHECKING:
-    from recast.scene.imported import ImportRecord
+    from recast.scene.exchange import ImportRecord
 
 LOG_OR_OWN = shared.option("Log folder of the drive that the scene was trained on, or --own-log.")
 OWN_LOG = shared.option(

@@ -20,9 +20,9 @@ from zipfile import is_zipfile
 import numpy as np
 
 from recast.core import files
-from recast.core.array_files import npz_names, read_npz
 from recast.core.errors import InputError
 from recast.core.files import read_text
+from recast.core.table_files import npz_names, read_npz
 from recast.geometry import se3
 from recast.logs import checks, motion
 from recast.logs.importers.common import are_returns, chosen_cameras, first_jump, returns_valid

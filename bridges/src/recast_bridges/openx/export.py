@@ -6,8 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from recast.core.files import atomic_folder
-from recast.core.names import folder_name
+from recast.core.files import atomic_folder, folder_name
 from recast.logs.hdmap import HdMap
 from recast_bridges.openx.opendrive import (
     LeftOutLinks,

@@ -17,7 +17,7 @@ from recast.geometry import se3
 from recast.logs import DrivingLog, Track, Trajectory
 from recast.logs.checks import BOX_SIDE
 from recast.scene.actor import SceneActor
-from recast.scene.poses import CLOCK_TOLERANCE_US, stands
+from recast.scene.street_scene import CLOCK_TOLERANCE_US, stands
 from recast.splats import Gaussians
 from recast.splats.sh import rotate
 from recast_bridges.scenes.checkpoint import CheckpointTable

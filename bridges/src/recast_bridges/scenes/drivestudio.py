@@ -18,9 +18,8 @@ from recast.arrays import Array, Int64Array
 from recast.core.files import require_new
 from recast.geometry import se3
 from recast.logs import DrivingLog, Trajectory
-from recast.scene.actor import SceneActor
-from recast.scene.appearance import exposed, exposed_colours
-from recast.scene.imported import (
+from recast.scene.actor import SceneActor, exposed, exposed_colours
+from recast.scene.exchange import (
     ImportRecord,
     ScenePlacement,
     frame_times,

@@ -19,7 +19,7 @@ from recast.geometry import se3
 from recast.logs import CameraStream, DrivingLog, Track, Trajectory
 from recast.logs.checks import LATEST_US, refused
 from recast.scene.actor import SceneActor
-from recast.scene.imported import (
+from recast.scene.exchange import (
     ImportRecord,
     ScenePlacement,
     given_placement,

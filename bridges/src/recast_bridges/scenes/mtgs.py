@@ -22,7 +22,7 @@ from recast.geometry import se3
 from recast.logs import CameraStream, DrivingLog, Track, Trajectory
 from recast.logs.checks import LATEST_US, WORLD_REACH, refused
 from recast.scene.actor import SceneActor
-from recast.scene.imported import ImportRecord, ScenePlacement, import_with_log, write_imported
+from recast.scene.exchange import ImportRecord, ScenePlacement, import_with_log, write_imported
 from recast.scene.sky import sky_from_cubemap
 from recast.scene.street_scene import StreetScene
 from recast.splats import concatenate

@@ -16,7 +16,7 @@ from recast.arrays import Array, Int64Array
 from recast.geometry import se3
 from recast.logs import DrivingLog, Trajectory
 from recast.logs.checks import LATEST_US, WORLD_REACH
-from recast.scene.appearance import mirrored
+from recast.scene.actor import mirrored
 from recast.splats import Gaussians, concatenate
 from recast.splats.gaussians import quat_multiply
 from recast.splats.sh import C0, MAX_DEGREE

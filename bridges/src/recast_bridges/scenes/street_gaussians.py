@@ -23,18 +23,16 @@ from recast.core.errors import InputError
 from recast.core.files import read_json, require_new
 from recast.geometry import se3
 from recast.logs import DrivingLog, Trajectory
-from recast.scene.actor import SceneActor
-from recast.scene.appearance import fourier_basis
-from recast.scene.imported import (
+from recast.scene.actor import SceneActor, fourier_basis
+from recast.scene.exchange import (
     ImportRecord,
     ScenePlacement,
     frame_times,
     given_placement,
     write_imported,
 )
-from recast.scene.poses import moves
 from recast.scene.sky import sky_from_cubemap
-from recast.scene.street_scene import StreetScene
+from recast.scene.street_scene import StreetScene, moves
 from recast.splats import Gaussians
 from recast_bridges.logs.processed_folder import CAMERAS, frame_numbers, read_pose
 from recast_bridges.logs.street_gaussians import CATEGORIES, read_box_rows

@@ -11,8 +11,8 @@ import numpy as np
 from rich.table import Table
 
 from recast.core import files
+from recast.core.diagnostics import Progress, tell
 from recast.core.errors import InputError, printable
-from recast.core.progress import Progress, tell
 from recast.logs import HdMap, map_of, read_log
 from recast.metrics.table import Metric, rounded
 from recast.runs.display import narrow_table

@@ -24,9 +24,8 @@ from recast.actors.refine.images import Layers
 from recast.actors.refine.settings import REFINE, Steps
 from recast.arrays import Array
 from recast.reconstruction.losses import photometric_loss
-from recast.reconstruction.schedule import generator, picked_view
-from recast.scene.actor import draw
-from recast.scene.appearance import mirrored
+from recast.reconstruction.settings import generator, picked_view
+from recast.scene.actor import draw, mirrored
 from recast.splats import Gaussians, LowPass, concatenate
 from recast.splats.gaussians import quat_multiply, quat_to_matrix
 

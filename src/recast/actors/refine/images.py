@@ -36,8 +36,7 @@ from recast.arrays import Array
 from recast.geometry import boxes, se3
 from recast.geometry.colour import GAMMA
 from recast.scene import StreetScene
-from recast.scene.actor import draw
-from recast.scene.appearance import mirrored
+from recast.scene.actor import draw, mirrored
 from recast.scene.light import CastShadow, SceneLight
 from recast.scene.light.sun import DIRECTIONS
 from recast.scene.sky import composite, pixel_coordinates

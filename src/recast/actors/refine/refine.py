@@ -33,11 +33,11 @@ from recast.actors.refine.descent import (
 )
 from recast.actors.refine.images import follow_paint, make_layers, shadow_evidence, visibility_of
 from recast.actors.refine.settings import REFINE, Steps
-from recast.core.progress import Progress
+from recast.core.diagnostics import Progress
 from recast.logs import Trajectory
 from recast.scene import StreetScene
-from recast.scene.poses import DEFORMABLE
 from recast.scene.store import read_tensors, write_tensors
+from recast.scene.street_scene import DEFORMABLE
 from recast.splats import Gaussians
 
 

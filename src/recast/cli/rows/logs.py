@@ -17,7 +17,7 @@ from recast.core.errors import printable
 from recast.logs.info import LogInfo, TrackInfo
 from recast.logs.plausibility import Figures
 from recast.reconstruction import RegionScore, SceneEvaluation
-from recast.scene.imported import ImportRecord
+from recast.scene.exchange import ImportRecord
 
 Cell = Callable[[TrackInfo], str]
 

@@ -38,7 +38,7 @@ from recast.core.plugins import GENERATORS, IMPORTERS, INSTALLED_BY, PLANNERS, S
 from recast.core.workers import usable_cores
 from recast.weights import PUBLISHED, Weights, published, weights_folder
 from recast.weights.fetch import fetch, is_whole
-from recast.weights.fetched import is_fetched, read_weights_record, verify
+from recast.weights.table import is_fetched, read_weights_record, verify
 
 _OPTIONAL = {
     "recast-bridges": (

@@ -12,9 +12,9 @@ import numpy as np
 from pydantic import Field, ValidationError
 
 from recast.core import files
-from recast.core.array_files import read_npy
 from recast.core.errors import InputError
 from recast.core.records import validation_error
+from recast.core.table_files import read_npy
 from recast.geometry import se3
 from recast.logs import checks, motion
 from recast.logs.hdmap import GroundHeight, HdMap, Lane

@@ -11,7 +11,7 @@ import numpy as np
 
 from recast.cameras import PinholeCamera
 from recast.core.errors import InputError
-from recast.core.names import member
+from recast.core.files import member
 from recast.geometry import se3
 from recast.logs import checks, motion
 from recast.logs.images import ImageFiles

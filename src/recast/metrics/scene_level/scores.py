@@ -30,8 +30,8 @@ from numpy.typing import NDArray
 
 from recast.arrays import Array, Image
 from recast.core import files
-from recast.core.array_files import read_npz
 from recast.core.errors import InputError
+from recast.core.table_files import read_npz
 from recast.metrics.actor_scores import ScoredCutout
 from recast.metrics.features import ToyFeatures
 from recast.metrics.inception import load_inception

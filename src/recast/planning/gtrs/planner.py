@@ -16,7 +16,7 @@ from recast.arrays import Float32Array
 from recast.cameras import CameraMount
 from recast.cameras.mounts import choose_views, directions
 from recast.core.errors import InputError
-from recast.dynamics.comfort import comfortable_plans
+from recast.dynamics.tracker import comfortable_plans
 from recast.planning.cameras import require_cameras
 from recast.planning.gtrs.config import ViewLayout, network_input
 from recast.planning.gtrs.head import IMITATION

@@ -14,10 +14,10 @@ from pydantic import NonNegativeFloat, PositiveFloat
 from torch import Tensor
 from torch.nn import functional
 
-from recast.core.array_files import read_npy
 from recast.core.errors import InputError
 from recast.core.files import atomic_file
 from recast.core.records import Record
+from recast.core.table_files import read_npy
 from recast.planning.gtrs.head import IMITATION
 from recast.planning.types import WAYPOINTS
 
@@ -159,7 +159,7 @@ def final_score(
     Args:
         logits: head name to (B, L).
         weights: `VOCABULARY_ONLY`, or `COMBINED` where L includes external proposals.
-        comfortable: (L,) bool, C, see `recast.dynamics.comfort.comfortable_plans`; used if
+        comfortable: (L,) bool, C, see `recast.dynamics.tracker.comfortable_plans`; used if
             `weights.comfort` is above 0.
 
     Raises:

@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike
 from recast.arrays import Array, BoolArray
 from recast.dynamics import PACIFICA, VehicleParameters
 from recast.dynamics import state as ego
-from recast.dynamics.comfort import NUPLAN_LIMITS, check, savgol_signals
+from recast.dynamics.tracker import NUPLAN_LIMITS, check, savgol_signals
 from recast.planning.map import PlannerMap
 from recast.planning.pdm.centreline import Centreline
 from recast.planning.pdm.forecast import Forecast, box_centres, box_corners

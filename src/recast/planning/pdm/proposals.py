@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 from recast.arrays import Array, BoolArray, Int64Array
 from recast.dynamics import IdmParameters, TrackerConfig, VehicleParameters, idm_step
 from recast.dynamics import state as ego
-from recast.dynamics.idm import PDM_BATCH
+from recast.dynamics.state import PDM_BATCH
 from recast.dynamics.tracker import DEFAULT, PDM_REFERENCE
 from recast.geometry import se2
 from recast.planning.pdm.centreline import Centreline

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from recast.arrays import Array, BoolArray, Int64Array
 from recast.dynamics import VehicleParameters
 from recast.dynamics import state as ego
-from recast.dynamics.comfort import NUPLAN_LIMITS, check, savgol_signals
+from recast.dynamics.tracker import NUPLAN_LIMITS, check, savgol_signals
 from recast.geometry import se2
 from recast.planning.map import PlannerMap
 from recast.planning.pdm.centreline import Centreline

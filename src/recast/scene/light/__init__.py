@@ -1,7 +1,13 @@
 """Light: what a street says of it, and vehicles lit where they stand."""
 
-from recast.scene.light.place import LitSurface, PlaceLight, SceneLight
-from recast.scene.light.relight import ActorLight, CastShadow, recorded_light
+from recast.scene.light.relight import (
+    ActorLight,
+    CastShadow,
+    LitSurface,
+    PlaceLight,
+    SceneLight,
+    recorded_light,
+)
 from recast.scene.light.sun import SunBelief
 
 __all__ = [

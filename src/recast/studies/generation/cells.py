@@ -25,10 +25,10 @@ from recast.actors.generate import generated
 from recast.actors.icp import FitSurface, bounds
 from recast.actors.place import place_asset, stood_up
 from recast.arrays import Array, Image
-from recast.core.array_files import read_npz
 from recast.core.errors import InputError
 from recast.core.files import atomic_folder, read_json, write_json
 from recast.core.images import decode_image, rgb
+from recast.core.table_files import read_npz
 from recast.core.workers import in_this_process, worker_pool
 from recast.geometry import se3
 from recast.metrics.actor_scores import (

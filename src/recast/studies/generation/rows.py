@@ -20,7 +20,7 @@ from recast.actors.vehicle_files import VEHICLE_SUFFIXES, is_vehicle_file
 from recast.arrays import Image
 from recast.core.artefact import file_hash, files_hash, value_hash
 from recast.core.errors import InputError
-from recast.core.names import folder_name
+from recast.core.files import folder_name
 from recast.core.records import Record, read_record
 from recast.metrics.actor_scores import ActorCase, Targets
 from recast.recar.perturb import PerturbationConfig

@@ -16,10 +16,16 @@ from PIL import Image as PilImage
 
 from recast.actors.vehicle_files import VEHICLE_SUFFIXES
 from recast.core.artefact import file_hash, folder_hash, value_hash
+from recast.core.diagnostics import Progress
 from recast.core.errors import InputError, require_range
-from recast.core.files import atomic_file, atomic_folder, read_json, write_json, write_text
-from recast.core.names import folder_name
-from recast.core.progress import Progress
+from recast.core.files import (
+    atomic_file,
+    atomic_folder,
+    folder_name,
+    read_json,
+    write_json,
+    write_text,
+)
 from recast.metrics.actor_scores import (
     ActorCase,
     ActorView,

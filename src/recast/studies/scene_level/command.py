@@ -18,11 +18,10 @@ from rich.text import Text
 
 from recast.arrays import Image
 from recast.core import Store, files
+from recast.core.diagnostics import ProgressBar
 from recast.core.errors import printable
-from recast.core.images import decode_image, rgb
-from recast.core.lettering import draw_text
-from recast.core.names import folder_name
-from recast.core.progress import ProgressBar
+from recast.core.files import folder_name
+from recast.core.images import decode_image, draw_text, rgb
 from recast.metrics.scene_level.frames import RolloutFrame, read_frames, read_references
 from recast.metrics.scene_level.scores import (
     COLUMNS,

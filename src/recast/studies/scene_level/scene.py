@@ -17,7 +17,7 @@ from PIL import Image as PilImage
 from recast.arrays import Array, Image
 from recast.cameras import PinholeCamera, box_outline
 from recast.core import Artefact, Store, files
-from recast.core.remote import Fetch
+from recast.core.artefact import Fetch
 from recast.dynamics import EgoState
 from recast.dynamics.state import SIZE as EGO_SIZE
 from recast.geometry import se3

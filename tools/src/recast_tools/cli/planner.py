@@ -60,7 +60,7 @@ class Dataset:
     def __call__(self) -> None:
         from pydantic import ValidationError
 
-        from recast.core.progress import ProgressBar
+        from recast.core.diagnostics import ProgressBar
         from recast.core.records import validation_error
         from recast.planning.gtrs import read_vocabulary
         from recast.synthetic import SCENES

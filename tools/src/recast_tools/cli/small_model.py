@@ -26,7 +26,7 @@ class RecarAssets:
     workers: Annotated[int, shared.WORKERS] = 1
 
     def __call__(self) -> None:
-        from recast.core.progress import ProgressBar
+        from recast.core.diagnostics import ProgressBar
         from recast_tools.small_model.asset_synthesis import AssetsRecord, make_assets
 
         console = console_for(False)
@@ -92,7 +92,7 @@ class Assemble:
     seed: Annotated[int, shared.SEED] = 0
 
     def __call__(self) -> None:
-        from recast.core.progress import ProgressBar
+        from recast.core.diagnostics import ProgressBar
         from recast_tools.small_model.assemble import assemble
 
         parts = {"structure": self.structure, "latent": self.latent, "image": self.image}

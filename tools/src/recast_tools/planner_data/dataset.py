@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 
 from recast.arrays import Image
 from recast.core import Store, open_store
+from recast.core.diagnostics import Progress
 from recast.core.errors import InputError, require_range
 from recast.core.files import alone_in, write_json
-from recast.core.progress import Progress
 from recast.core.records import read_record
 from recast.core.workers import worker_pool
 from recast.dynamics import state as ego

@@ -34,7 +34,7 @@ from recast.runs.making import (
 from recast.runs.run_folder import ACTOR_FOLDER, LOG_FOLDER
 from recast.runs.sources import SourceLog, generator_source, segmenter_source
 from recast.scene import StreetScene, load_scene
-from recast.scene.render import SceneRasterizer
+from recast.scene.street_scene import SceneRasterizer
 from recast.synthetic import World
 from recast.synthetic.oracle import Oracle
 from recast.synthetic.rig import exposure

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from recast.arrays import Float32Array, Image
 from recast.core.errors import InputError
-from recast.core.lettering import draw_text
+from recast.core.images import draw_text
 from recast.planning.gtrs import ScoreWeights, final_score, training_loss
 from recast_tools.planner_training.samples import SampleStore
 from recast_tools.planner_training.targets import SCORED, unpacked

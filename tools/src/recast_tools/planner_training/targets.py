@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from recast.arrays import Array
 from recast.dynamics import PACIFICA, VehicleParameters, plan_to_poses, track
 from recast.dynamics import state as ego
-from recast.dynamics.comfort import comfortable_plans
+from recast.dynamics.tracker import comfortable_plans
 from recast.geometry import se2
 from recast.geometry.boxes import bev_touching
 from recast.planning.gtrs.head import METRICS

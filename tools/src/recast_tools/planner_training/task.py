@@ -16,7 +16,7 @@ from torch.nn import functional
 from recast.core.errors import InputError
 from recast.core.files import read_json
 from recast.core.records import Record, validation_error
-from recast.dynamics.comfort import comfortable_plans
+from recast.dynamics.tracker import comfortable_plans
 from recast.planning.gtrs import (
     METRICS,
     BackboneConfig,
@@ -30,7 +30,8 @@ from recast.planning.gtrs import (
 )
 from recast.planning.gtrs.config import ViewLayout
 from recast.planning.gtrs.scores import DEMONSTRATED, vocabulary_dropout
-from recast.training.task import StepLoss, StepRandom, TrainerSettings, overridden
+from recast.training.loop import StepLoss, StepRandom
+from recast.training.state import TrainerSettings, overridden
 from recast_tools.planner_training.samples import (
     CLUES,
     SampleStore,

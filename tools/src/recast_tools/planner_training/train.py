@@ -13,16 +13,14 @@ from rich.console import Console
 from torch import nn
 
 from recast.core.errors import InputError
-from recast.core.files import write_bytes, write_json
-from recast.core.names import folder_name
+from recast.core.files import folder_name, write_bytes, write_json
 from recast.core.records import Record, read_record
 from recast.logs.images import encode
 from recast.planning.gtrs import GtrsModel, GtrsPlanner, load_gtrs, save_gtrs
 from recast.planning.gtrs.folder import CONFIG_FILE, WEIGHTS_FILE
 from recast.recar.training import hash_files
-from recast.training.loop import train
+from recast.training.loop import TrainingBar, train
 from recast.training.state import TrainingState
-from recast.training.task import TrainingBar
 from recast_tools.planner_training.evaluate import (
     FIRST_SPEED,
     SampleScores,

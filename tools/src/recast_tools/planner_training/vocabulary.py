@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 
 from recast.arrays import Array, Int64Array
 from recast.core.errors import InputError
-from recast.dynamics.comfort import comfortable_plans
+from recast.dynamics.tracker import comfortable_plans
 from recast.planning.gtrs.scores import DEMONSTRATED, Trajectories
 from recast.planning.types import WAYPOINTS
 

@@ -10,9 +10,9 @@ import numpy as np
 import torch
 from rich.console import Console
 
+from recast.core.diagnostics import Progress, tell
 from recast.core.errors import InputError
 from recast.core.files import write_json
-from recast.core.progress import Progress, tell
 from recast.recar.target_cache import CACHE_FILE, CacheRecord, Target, TargetCache, TargetRecord
 from recast.recar.target_maker import ModelSource
 from recast.recar.training_conditions import TrainingAsset

@@ -14,9 +14,9 @@ from pydantic import Field
 
 from recast.arrays import Array
 from recast.cameras import PinholeCamera
+from recast.core.diagnostics import Progress, tell
 from recast.core.errors import InputError
 from recast.core.files import alone_in, write_json
-from recast.core.progress import Progress, tell
 from recast.core.records import Record, read_record
 from recast.core.workers import worker_pool
 from recast.geometry import se3

@@ -13,7 +13,7 @@ from torch.nn.functional import avg_pool2d, binary_cross_entropy_with_logits
 from recast.recar.training_conditions import TrainingAsset
 from recast.reconstruction.scores import ssim_map
 from recast.splats import MIP, Gaussians, Rasterization, rasterize
-from recast.training.task import StepLoss, StepRandom
+from recast.training.loop import StepLoss, StepRandom
 from recast.trellis.conditioning import CompactImageEncoder
 from recast.trellis.flow_transformer import SparseStructureFlowModel
 from recast.trellis.slat_vae import SLatEncoder, SLatGaussianDecoder

@@ -12,8 +12,8 @@ from torch import Tensor
 
 from recast.core.files import write_json
 from recast.reconstruction.scores import psnr
-from recast.training.loop import Watch, train
-from recast.training.task import TrainerSettings, TrainingTask
+from recast.training.loop import TrainingTask, Watch, train
+from recast.training.state import TrainerSettings
 from recast.trellis import crop_to_object
 from recast.trellis.checkpoint_sizes import SMALL, new_checkpoint
 from recast.trellis.conditioning import CompactImageEncoder

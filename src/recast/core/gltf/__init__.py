@@ -1,1 +1,0 @@
-"""glTF 2.0 files: the container and the tree of what it draws."""
