@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from recast.actors.coverage import NOTHING, Coverage
+from recast.actors.actor import NOTHING, Coverage
 from recast.cameras import box_rectangle
 from recast.geometry import se2, se3
 from recast.metrics import rollout_metrics

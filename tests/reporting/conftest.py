@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from recast.actors.coverage import NOTHING, Coverage
+from recast.actors.actor import NOTHING, Coverage
 from recast.metrics import rollout_metrics
 from recast.metrics.trust import RolloutTrust
 from recast.reporting import (

@@ -11,7 +11,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
-from recast.actors.coverage import NOTHING, Coverage
+from recast.actors.actor import NOTHING, Coverage
 from recast.cameras import CameraMount, PinholeCamera
 from recast.core.errors import InputError
 from recast.geometry import se3

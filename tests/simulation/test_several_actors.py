@@ -216,7 +216,7 @@ def test_all_controlled_actors_hide_each_other_in_the_coverage(setup: RolloutSet
         poses: list[set[str]] = []  # noqa: RUF012
 
         def measure(self, camera, camera_from_world, poses, shown=None):
-            from recast.actors.coverage import NOTHING
+            from recast.actors.actor import NOTHING
 
             self.poses.append(set(poses))
             return NOTHING

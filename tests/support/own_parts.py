@@ -14,8 +14,7 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from recast.actors.axes import VEHICLE
-from recast.actors.generate import Asset
+from recast.actors.generate import VEHICLE, Asset
 from recast.actors.observation import Observation
 from recast.arrays import Image
 from recast.planning import Plan, PlannerInput, PlanningContext

@@ -299,7 +299,7 @@ _VEHICLES = "docs/actors.md#bring-your-own-vehicle"
 _SCENARIO_FILE = "docs/scenarios.md#your-own-as-a-file"
 
 PAGES = {
-    "recast.actors.axes": "docs/actors.md#axes",
+    "recast.actors.generate": "docs/actors.md#axes",
     "recast.actors.library": "docs/actors.md#a-library-of-vehicles",
     "recast.actors.mesh": _VEHICLES,
     "recast.actors.vehicle_files": _VEHICLES,

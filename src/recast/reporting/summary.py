@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from recast.actors.coverage import Coverage
+from recast.actors.actor import Coverage
 from recast.metrics import RolloutMetrics
 from recast.metrics.table import over_common_steps
 from recast.reporting.inputs import (

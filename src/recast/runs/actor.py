@@ -31,10 +31,10 @@ from recast.actors import (
     segmenter_of,
 )
 from recast.actors.evidence import load_evidence, save_evidence
-from recast.actors.gather_evidence import gather_evidence
 from recast.actors.generate import candidates_of
 from recast.actors.insert import require_model
 from recast.actors.observation import Usable
+from recast.actors.observe import gather_evidence
 from recast.actors.refine import refine
 from recast.actors.register import choose
 from recast.core import files

@@ -16,7 +16,7 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 from rich.console import Console
 
 from recast.actors import Actor
-from recast.actors.coverage import CoverageMeter
+from recast.actors.actor import CoverageMeter
 from recast.cameras import CameraMount
 from recast.core import files
 from recast.core.errors import InputError, UnreachableError

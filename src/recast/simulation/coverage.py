@@ -9,7 +9,7 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from recast.actors.coverage import LEAST_PIXELS, Coverage
+from recast.actors.actor import LEAST_PIXELS, Coverage
 from recast.arrays import Array
 from recast.cameras import CameraMount, PinholeCamera
 from recast.geometry import se3
@@ -22,7 +22,7 @@ _MOST_STEPS = int(1e9)  # as many as a rollout may have
 
 
 class Meter(Protocol):
-    """Measures one image, see `recast.actors.coverage.CoverageMeter`."""
+    """Measures one image, see `recast.actors.actor.CoverageMeter`."""
 
     def measure(
         self,

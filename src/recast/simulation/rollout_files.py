@@ -249,7 +249,7 @@ def load_coverage(path: str | Path) -> RolloutCoverage:
     Raises:
         InputError: the file or a column is missing or broken, or holds what is no coverage.
     """
-    from recast.actors.coverage import Coverage  # needs torch
+    from recast.actors.actor import Coverage  # needs torch
     from recast.simulation.coverage import SHARES, ImageCoverage, RolloutCoverage
 
     names = ("pixels", *SHARES)

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from fuzz.target import Target
-from recast.actors.coverage import NOTHING, Coverage
+from recast.actors.actor import NOTHING, Coverage
 from recast.core.files import write_json
 from recast.geometry import se3
 from recast.logs.hdmap import HdMap, Lane

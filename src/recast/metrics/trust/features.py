@@ -12,7 +12,7 @@ from typing import Literal
 import numpy as np
 import shapely
 
-from recast.actors.coverage import Coverage
+from recast.actors.actor import Coverage
 from recast.arrays import Array, Int64Array
 from recast.cameras import box_rectangle
 from recast.dynamics import plan_to_poses
