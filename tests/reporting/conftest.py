@@ -25,8 +25,8 @@ from recast.reporting import (
     write_report,
     write_video,
 )
-from recast.simulation.coverage import ImageCoverage, RolloutCoverage
 from recast.simulation.rollout import RolloutFailure
+from recast.simulation.scene_renderer import ImageCoverage, RolloutCoverage
 from reporting.made_up_actor import CANDIDATES
 from reporting.made_up_rollouts import HOSTILE, STEPS, cut_in, straight_map
 

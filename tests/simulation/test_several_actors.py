@@ -28,7 +28,7 @@ from recast.simulation import (
     run_rollout,
     save_rollout,
 )
-from recast.simulation.coverage import rollout_coverage
+from recast.simulation.scene_renderer import rollout_coverage
 from support.controlled_tracks import Bad, line, with_track
 from support.recorders import CountingRenderer, Recorder
 from support.synthetic_drives import drive

@@ -18,7 +18,7 @@ from recast.actors.generate import VEHICLE, Asset
 from recast.actors.observation import Observation
 from recast.arrays import Image
 from recast.planning import Plan, PlannerInput, PlanningContext
-from recast.planning.idm_follower import IdmLaneFollower
+from recast.planning.simple import IdmLaneFollower
 from recast.splats import Gaussians
 
 

@@ -318,7 +318,7 @@ PAGES = {
     "recast.simulation.renderer": "docs/runs.md#restored-images",
     "recast.recar": "docs/recar.md",
     "recast.reconstruction.config": "docs/scenes.md#configuration",
-    "recast.simulation.scenario_file": _SCENARIO_FILE,
+    "recast.simulation.scenario": _SCENARIO_FILE,
     "recast.splats.cuda": "docs/rasterizer.md#on-a-gpu",
     "recast.synthetic": "docs/synthetic.md",
     "recast.trellis.checkpoints": "docs/image_to_3d.md#model-folders",

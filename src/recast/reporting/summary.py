@@ -23,8 +23,8 @@ from recast.reporting.inputs import (
 )
 from recast.reporting.plots import Series, series
 from recast.reporting.tables import Tone
-from recast.simulation.coverage import RolloutCoverage
 from recast.simulation.rollout import Rollout, RolloutFailure
+from recast.simulation.scene_renderer import RolloutCoverage
 
 
 @dataclass(frozen=True)

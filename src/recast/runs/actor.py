@@ -61,7 +61,7 @@ from recast.scene import StreetScene
 from recast.simulation import camera_mounts
 from recast.splats import Gaussians, LowPass, write_ply
 from recast.synthetic import Oracle
-from recast.synthetic.rig import exposure
+from recast.synthetic.world import exposure
 from recast.trellis import (
     GeneratedVehicle,
     Generation,

@@ -22,7 +22,6 @@ from recast.synthetic.rendering.lighting import (
     sample_light,
     sky_light,
 )
-from recast.synthetic.rendering.path_tracing import path_light
 from recast.synthetic.rendering.rays import (
     SKY,
     Float32Array,
@@ -42,6 +41,7 @@ from recast.synthetic.rendering.shading import (
     borrow_light,
     develop,
     edge_pixels,
+    path_light,
     shade,
 )
 from recast.synthetic.rendering.surface_points import (

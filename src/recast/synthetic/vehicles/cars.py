@@ -18,7 +18,6 @@ from recast.synthetic.vehicles.bodywork import (
     side_windows,
     wheel,
 )
-from recast.synthetic.vehicles.loft import LoftedBody, LoftProfile, underside, wheel_wells
 from recast.synthetic.vehicles.parameters import VehicleSizes
 from recast.synthetic.vehicles.solid import (
     CHROME,
@@ -28,9 +27,13 @@ from recast.synthetic.vehicles.solid import (
     TRIM,
     Area,
     Finish,
+    LoftedBody,
+    LoftProfile,
     Solid,
     rounded,
     strip,
+    underside,
+    wheel_wells,
 )
 
 

@@ -23,7 +23,6 @@ from recast.synthetic.vehicles.bodywork import (
     side_windows,
     tail_lamp,
 )
-from recast.synthetic.vehicles.loft import LoftedBody, LoftProfile, underside, wheel_wells
 from recast.synthetic.vehicles.parameters import VehicleSizes
 from recast.synthetic.vehicles.solid import (
     CHROME,
@@ -38,10 +37,14 @@ from recast.synthetic.vehicles.solid import (
     UNDERSIDE,
     Area,
     Finish,
+    LoftedBody,
+    LoftProfile,
     Solid,
     rectangle,
     rounded,
     strip,
+    underside,
+    wheel_wells,
 )
 
 Span = tuple[float, float]

@@ -18,7 +18,7 @@ from recast.core.names import folder_name
 from recast.core.records import Record, read_record
 from recast.logs.images import encode
 from recast.planning.gtrs import GtrsModel, GtrsPlanner, load_gtrs, save_gtrs
-from recast.planning.gtrs.folder import CONFIG_FILE, WEIGHTS_FILE
+from recast.planning.gtrs.planner import CONFIG_FILE, WEIGHTS_FILE
 from recast.recar.training import hash_files
 from recast.training.loop import train
 from recast.training.state import TrainingState
