@@ -183,9 +183,7 @@ def daylight(rng: Generator, elevation: tuple[float, float] = (25.0, 60.0)) -> S
     high = np.deg2rad(rng.uniform(*elevation))
     clouds = float(rng.choice([rng.uniform(0.05, 0.35), rng.uniform(0.35, 0.75)], p=[0.65, 0.35]))
     haze = rng.uniform(0.0, 1.0)
-    direction = np.array(
-        [np.cos(azimuth) * np.cos(high), np.sin(azimuth) * np.cos(high), np.sin(high)]
-    )
+    direction = se3.direction(azimuth, high)
     low = np.exp(-np.sin(high) / 0.35)  # path through the air
     strength = (1 - 0.55 * clouds**2) * (1 - 0.15 * haze)
     sun = strength * 5.0 * np.array([1.0, 1.0 - 0.16 * low, 0.94 - 0.42 * low]) * (1 - 0.3 * low)

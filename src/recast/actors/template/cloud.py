@@ -34,6 +34,7 @@ from recast.actors.template.materials import (
 from recast.arrays import Array, Int64Array
 from recast.geometry import se3
 from recast.geometry.colour import gamma_to_linear, linear_to_gamma
+from recast.scene.light.relight import COAT
 from recast.splats.gaussians import Gaussians
 from recast.splats.sh import C0, C1
 
@@ -293,7 +294,6 @@ def flat_gaussians(
     return Gaussians(*(torch.as_tensor(part, dtype=torch.float32) for part in parts))
 
 
-_F0 = 0.04  # reflectance of clear coat and glass at normal incidence
 # Linear light of what a car mirrors on a clear day in a street with trees.
 _SKY = np.array([0.24, 0.44, 0.82])
 _HAZE = np.array([0.50, 0.62, 0.76])
@@ -349,7 +349,7 @@ def mirrored(normals: Array, views: Array, gloss: Array) -> Array:
     """Mirrored light (N, 3) towards unit directions `views` (N, 3) from the surface to the eye."""
     cosine = np.sum(normals * views, axis=1, keepdims=True)
     reflected = 2 * cosine * normals - views
-    fresnel = _F0 + (1 - _F0) * (1 - np.clip(cosine, 0.05, 1.0)) ** 5
+    fresnel = COAT + (1 - COAT) * (1 - np.clip(cosine, 0.05, 1.0)) ** 5
     return np.minimum(fresnel * gloss[:, None], 0.9) * environment(reflected)
 
 
@@ -377,7 +377,7 @@ def view_directions() -> Array:
     azimuth = np.linspace(0, 2 * np.pi, 16, endpoint=False)
     elevation = np.radians([-4.0, 8.0, 24.0, 45.0])
     a, e = np.meshgrid(azimuth, elevation)
-    return np.stack([np.cos(e) * np.cos(a), np.cos(e) * np.sin(a), np.sin(e)], -1).reshape(-1, 3)
+    return se3.direction(a, e).reshape(-1, 3)
 
 
 def sh_basis(directions: Array) -> Array:

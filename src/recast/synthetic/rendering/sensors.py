@@ -345,12 +345,7 @@ class LidarSpec:
         """Unit directions (B * azimuths, 3) in the LiDAR frame, beam by beam."""
         azimuth = np.arange(self.azimuths) * (2 * np.pi / self.azimuths)
         elevation = np.asarray(self.elevations, np.float64)[:, None]
-        parts = (
-            np.cos(elevation) * np.cos(azimuth),
-            np.cos(elevation) * np.sin(azimuth),
-            np.sin(elevation) + 0 * azimuth,
-        )
-        return np.stack(parts, axis=-1).reshape(-1, 3).astype(np.float32)
+        return se3.direction(azimuth, elevation).reshape(-1, 3).astype(np.float32)
 
 
 def _waymo_elevations() -> Array:

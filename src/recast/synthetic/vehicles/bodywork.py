@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from recast.arrays import Array
+from recast.geometry.boxes import smooth_max
 from recast.synthetic.surface import Surface, at, corner_normals, sheet, spindle
 from recast.synthetic.vehicles.parameters import VehicleSizes
 from recast.synthetic.vehicles.solid import (
@@ -37,7 +38,6 @@ from recast.synthetic.vehicles.solid import (
     half_box,
     rectangle,
     rounded,
-    smooth_max,
     strip,
 )
 

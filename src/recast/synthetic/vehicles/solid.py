@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from recast.arrays import Array
+from recast.geometry.boxes import smooth_max
 from recast.synthetic.surface import CREASE_ANGLE, MATERIAL_INDEX, Surface, corner_normals, sheet
 from recast.synthetic.vehicles.parameters import VehicleSizes
 
@@ -283,15 +284,6 @@ DISPLAY = Finish((0.9, 0.42, 0.05), "signal")
 INK = Finish((0.015, 0.015, 0.02), "plate")
 Area = tuple[list[Array], list[Array]]
 """Borders and limits, see `Solid.paint`."""
-
-
-def smooth_max(fields: Sequence[Array], radius: float) -> Array:
-    """The greatest of the fields, with corners rounded at about `radius` metres."""
-    best = fields[0]
-    for field in fields[1:]:
-        blend = np.maximum(radius - np.abs(best - field), 0)
-        best = np.maximum(best, field) + blend**2 / (4 * radius)
-    return best
 
 
 def strip(distance: Array, half: float) -> list[Array]:
