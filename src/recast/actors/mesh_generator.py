@@ -404,7 +404,7 @@ def surfels(vehicle: Outside, light: Daylight) -> Gaussians:
     """Flat Gaussians of samples in metres, z up, in daylight.
 
     Samples of a voxel that look alike become one Gaussian, as wide as they are together
-    (`template.merge.flat_gaussians`); light is baked as into a template (`template.lighting`).
+    (`template.cloud.flat_gaussians`); light is baked as into a template (`template.cloud`).
     Squares of edge e side by side, each a Gaussian of deviation c e / sqrt(12), overlap
     n = 2 pi c^2 / 12 times. A Gaussian of opacity o takes n Li2(o) from the logarithm of what a
     square lets through (the integral of -log(1 - o exp(-r^2 / 2)) is 2 pi Li2(o)), so that for
