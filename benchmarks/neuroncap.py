@@ -31,7 +31,7 @@ from recast.dynamics import make_state
 from recast.geometry import Polyline, se3
 from recast.logs.types import Trajectory
 from recast.planning import PlannerInput, PlanningContext
-from recast.planning.route import DrivingCommand, ReferenceRoute
+from recast.planning.types import DrivingCommand, ReferenceRoute
 from recast_bridges.json_service import JsonService
 from recast_bridges.neuroncap import NcapService, ncap_app
 from recast_bridges.neuroncap.planner import NeuroNcapPlanner, infer_body

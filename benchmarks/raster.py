@@ -22,7 +22,7 @@ import torch
 from against import compare
 from torch import Tensor
 
-from recast.splats import Gaussians, RasterMeta, morton_order, native, rasterize, reference
+from recast.splats import Gaussians, RasterMeta, morton_order, native, rasterization, rasterize
 from recast.splats.native.rasterizer import Workspace, empty, run_forward
 from recast.splats.rasterization import TILE, RasterSettings
 
@@ -172,8 +172,8 @@ def measure_reference(gaussians: Gaussians, width: int, height: int) -> tuple[fl
     sample = corners[:: max(1, len(corners) // SAMPLE_TILES)]
     factor = len(corners) / len(sample)
     leaves = Gaussians(**{k: v.clone().requires_grad_() for k, v in vars(gaussians).items()})
-    splats = reference.project(leaves, CAMERA, settings)
-    cut = reference.ProjectedSplats(
+    splats = rasterization.project(leaves, CAMERA, settings)
+    cut = rasterization.ProjectedSplats(
         **{
             k: v.detach().requires_grad_() if v.is_floating_point() else v
             for k, v in vars(splats).items()
@@ -184,10 +184,10 @@ def measure_reference(gaussians: Gaussians, width: int, height: int) -> tuple[fl
         lambda: torch.autograd.backward(outputs, [torch.ones_like(o) for o in outputs])
     )
     with torch.no_grad():
-        project = cpu_ms(lambda: reference.project(gaussians, CAMERA, settings))
-        tiles = cpu_ms(lambda: [reference.tile(cut, *corner, settings) for corner in sample])
+        project = cpu_ms(lambda: rasterization.project(gaussians, CAMERA, settings))
+        tiles = cpu_ms(lambda: [rasterization.tile(cut, *corner, settings) for corner in sample])
     both = cpu_ms(
-        lambda: [reference.tile(cut, *corner, settings).sum().backward() for corner in sample]
+        lambda: [rasterization.tile(cut, *corner, settings).sum().backward() for corner in sample]
     )
     forward = project + factor * tiles
     return forward, project + project_back + factor * both

@@ -23,7 +23,7 @@ from recast.scene import load_scene
 from recast.simulation import camera_mounts
 from recast.splats import set_threads
 from recast.synthetic import Oracle, world_of
-from recast.synthetic.rig import exposure
+from recast.synthetic.world import exposure
 
 NAMES = ("native", "not relit", "relit")
 

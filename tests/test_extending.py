@@ -14,7 +14,7 @@ import torch
 
 import recast
 from recast.actors import Asset, Observation
-from recast.actors.axes import VEHICLE
+from recast.actors.generate import VEHICLE
 from recast.cameras import CameraMount
 from recast.geometry import se3
 from recast.logs import DrivingLog

@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from recast.actors.axes import CONVENTIONS, UNIT_CUBE_Y_UP, AxisConvention
+from recast.actors.generate import CONVENTIONS, UNIT_CUBE_Y_UP, AxisConvention
 
 
 @pytest.mark.parametrize("name", CONVENTIONS)

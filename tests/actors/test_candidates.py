@@ -6,10 +6,9 @@ import numpy as np
 import pytest
 
 from recast.actors import Asset, BoxLidarSegmenter, Observation
-from recast.actors.axes import VEHICLE
 from recast.actors.evidence import Evidence
-from recast.actors.gather_evidence import gather_evidence
-from recast.actors.generate import candidates_of
+from recast.actors.generate import VEHICLE, candidates_of
+from recast.actors.observe import gather_evidence
 from recast.actors.register import AutoGenerator, candidate_score, choose, register
 from recast.core.errors import InputError
 from recast.logs import DrivingLog

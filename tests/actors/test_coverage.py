@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import torch
 
-from recast.actors.coverage import NOTHING, Coverage, CoverageMeter
+from recast.actors.actor import NOTHING, Coverage, CoverageMeter
 from recast.geometry import se2, se3
 from recast.scene import SceneActor, SkyMap, StreetScene
 from recast.scene.street_scene import SceneRasterizer

@@ -8,16 +8,17 @@ import pytest
 
 from recast.actors import Observation
 from recast.actors.template.body import TemplateBody
-from recast.actors.template.cloud import SurfaceCloud, build_cloud
-from recast.actors.template.generator import SurfaceView, view_surface
-from recast.actors.template.lighting import (
+from recast.actors.template.cloud import (
     Daylight,
+    SurfaceCloud,
+    build_cloud,
     estimate_light,
     estimate_rims,
     estimate_windows,
     road_level,
     shade,
 )
+from recast.actors.template.generator import SurfaceView, view_surface
 from recast.actors.template.proportions import STYLES, TemplatePlacement
 from recast.geometry.colour import gamma_to_linear, linear_to_gamma
 from support import made_up_actors as made_up

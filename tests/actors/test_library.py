@@ -11,8 +11,7 @@ import pytest
 from recast.actors import Actor, Observation, SplatGenerator, make_generator, save_actor
 from recast.actors import library as retrieval
 from recast.actors import library as summaries
-from recast.actors.axes import VEHICLE
-from recast.actors.generate import candidates_of
+from recast.actors.generate import VEHICLE, candidates_of
 from recast.actors.library import LibraryGenerator, Summary, paint_apart, size_apart, summary_of
 from recast.actors.mesh_generator import MeshGenerator
 from recast.actors.vehicle_files import vehicle_generator

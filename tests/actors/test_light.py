@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from recast.actors import Actor, insert
-from recast.actors.coverage import Shares
+from recast.actors.actor import Shares
 from recast.actors.insert import actor_light
 from recast.geometry import se3
 from recast.logs import DrivingLog

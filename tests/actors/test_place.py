@@ -12,7 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from recast.actors import Asset, Observation, TemplateGenerator
-from recast.actors.axes import UNIT_CUBE_Y_UP, UNIT_CUBE_Z_UP, VEHICLE, AxisConvention
+from recast.actors.generate import UNIT_CUBE_Y_UP, UNIT_CUBE_Z_UP, VEHICLE, AxisConvention
 from recast.actors.observe import observation_of_view
 from recast.actors.place import PlacedAsset, place_asset
 from recast.core.errors import InputError

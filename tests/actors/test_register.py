@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from recast.actors import Actor, Asset, Observation, register
-from recast.actors.axes import UNIT_CUBE_Y_UP, UNIT_CUBE_Z_UP, VEHICLE
+from recast.actors.generate import UNIT_CUBE_Y_UP, UNIT_CUBE_Z_UP, VEHICLE
 from recast.actors.icp import outer_surface
 from recast.actors.place import heading_agreement
 from recast.actors.register import lidar_by_side

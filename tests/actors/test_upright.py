@@ -14,7 +14,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from recast.actors import Observation, SplatGenerator, axes_of, make_generator, register
-from recast.actors.axes import LEAST_EVIDENCE, postures
+from recast.actors.generate import LEAST_EVIDENCE, postures
 from recast.actors.icp import outer_surface
 from recast.actors.place import place_asset
 from recast.cli.main import main

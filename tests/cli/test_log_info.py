@@ -10,7 +10,7 @@ import pytest
 
 from recast.cli.main import main
 from recast.logs import DrivingLog, TrackInfo, TrackVisibility, write_log
-from recast.logs.info import FEWEST_POINTS, ranked
+from recast.logs.load import FEWEST_POINTS, ranked
 
 UUID = "b87c7491-db0b-49e1-9fb8-ecc52f13184e"
 

@@ -17,7 +17,7 @@ from recast.logs import DrivingLog, Track, all_track_points, read_log, write_log
 from recast.logs.importers.argoverse2 import BOX_DELAY_US, load_argoverse2
 from recast.planning.map import planner_map, route_blocks
 from recast.planning.pdm.closed import PdmClosedPlanner
-from recast.planning.route import ReferenceRoute
+from recast.planning.types import ReferenceRoute
 from recast.simulation import RolloutSetup, run_rollout
 from recast.simulation.actor_motion import StartSituation
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from recast.logs import DrivingLog, Track, TrackInfo, Trajectory, log_info
-from recast.logs.info import ranked, track_visibility
+from recast.logs.load import ranked, track_visibility
 from support import tiny_drive as tiny
 from support import tiny_world
 

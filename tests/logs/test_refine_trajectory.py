@@ -7,7 +7,7 @@ import pytest
 
 from recast.geometry import se3
 from recast.logs import DrivingLog, LidarStream, LidarSweep, Trajectory
-from recast.logs.refine_trajectory import (
+from recast.logs.motion import (
     adjoint,
     heading_offset,
     match,

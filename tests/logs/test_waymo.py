@@ -14,8 +14,7 @@ from recast.geometry import boxes, se3
 from recast.logs import DrivingLog, read_log
 from recast.logs.importers.waymo import load_waymo
 from recast.logs.importers.waymo_proto import lidar_name
-from recast.logs.importers.waymo_segment import LaserCalibration
-from recast.logs.importers.waymo_sensors import beams, range_image_points
+from recast.logs.importers.waymo_segment import LaserCalibration, beams, range_image_points
 from support import tiny_waymo as tiny
 from support.importing import import_drive
 

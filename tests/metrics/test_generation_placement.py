@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from recast.actors import Asset, Observation
-from recast.actors.axes import UNIT_CUBE_Y_UP, UNIT_CUBE_Z_UP
+from recast.actors.generate import UNIT_CUBE_Y_UP, UNIT_CUBE_Z_UP
 from recast.actors.observe import observation_of_view
 from recast.core.errors import InputError
 from recast.geometry import se3

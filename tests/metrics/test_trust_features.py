@@ -7,14 +7,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from recast.actors.coverage import NOTHING, Coverage
+from recast.actors.actor import NOTHING, Coverage
 from recast.cameras import box_rectangle
 from recast.geometry import se2, se3
 from recast.metrics import rollout_metrics
 from recast.metrics.trust import FEATURES, GivenCamera, HeldOutFrame, RecordedViews
 from recast.metrics.trust.features import SHARES, plan_changes, trust_features
 from recast.simulation import Rollout
-from recast.simulation.coverage import ImageCoverage, RolloutCoverage
+from recast.simulation.scene_renderer import ImageCoverage, RolloutCoverage
 from support.box_world import CAMERA, RIG_FROM_CAMERA, SIZE, box_log
 from support.made_up_rollouts import make_rollout, straight_plans
 

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from scipy.special import expit
 
-from recast.actors.coverage import Coverage
+from recast.actors.actor import Coverage
 from recast.core.errors import InputError
 from recast.metrics.trust import (
     FEATURES,

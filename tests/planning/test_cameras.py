@@ -33,7 +33,7 @@ from recast.planning import (
 from recast.planning.gtrs import nuplan_rig
 from recast.simulation import NullRenderer, camera_mounts
 from recast.simulation.scene_renderer import through_lenses
-from recast.synthetic.rig import make_rig
+from recast.synthetic.world import make_rig
 
 Rig = dict[str, CameraMount]
 

@@ -17,9 +17,8 @@ from recast.planning import (
 )
 from recast.planning.gtrs import GtrsPlanner
 from recast.synthetic import make_rig, make_world
-from recast.synthetic.oracle import Oracle
-from recast.synthetic.rig import exposure
-from recast.synthetic.world import World
+from recast.synthetic.world import World, exposure
+from recast.synthetic.write import Oracle
 
 pytest.importorskip("embreex")
 

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from recast.actors.coverage import NOTHING, Coverage
+from recast.actors.actor import NOTHING, Coverage
 from recast.metrics import rollout_metrics
 from recast.metrics.trust import RolloutTrust
 from recast.reporting import (
@@ -25,8 +25,8 @@ from recast.reporting import (
     write_report,
     write_video,
 )
-from recast.simulation.coverage import ImageCoverage, RolloutCoverage
 from recast.simulation.rollout import RolloutFailure
+from recast.simulation.scene_renderer import ImageCoverage, RolloutCoverage
 from reporting.made_up_actor import CANDIDATES
 from reporting.made_up_rollouts import HOSTILE, STEPS, cut_in, straight_map
 

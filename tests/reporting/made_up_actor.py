@@ -12,8 +12,8 @@ from recast.actors.actor import (
     Provenance,
     Refinement,
     RegistrationReport,
+    Shares,
 )
-from recast.actors.coverage import Shares
 from recast.actors.icp import Fit
 from recast.actors.insert import contact_shadow
 from recast.actors.observation import MaskQuality

@@ -11,7 +11,7 @@ import pytest
 from PIL import Image
 
 from recast.actors import Actor, save_actor, turntable
-from recast.actors.drawing import coloured_by_shares
+from recast.actors.insert import coloured_by_shares
 from recast.cli.main import main
 from recast.core.images import wrapped
 from recast.reporting import palette, read_video

@@ -15,8 +15,7 @@ from recast.runs.rollouts import Renderers
 from recast.simulation import SimState
 from recast.simulation.oracle_renderer import OracleRenderer, jittered
 from recast.simulation.scene_renderer import SceneRenderer
-from recast.synthetic.rig import make_rig
-from recast.synthetic.world import World
+from recast.synthetic.world import World, make_rig
 from support.oracle_states import at_camera, ball, state_of, street
 from support.small_street import small_world
 

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from recast.actors.coverage import CoverageMeter
+from recast.actors.actor import CoverageMeter
 from recast.core import Store
 from recast.core.errors import InputError
 from recast.planning import Plan, PlannerInput, PlanningContext

@@ -23,9 +23,8 @@ from recast.reconstruction.evaluate import ShiftedScore
 from recast.reconstruction.scores import DepthScore
 from recast.runs.scene import evaluation_table, shift_table, shifted_truth
 from recast.synthetic import is_synthetic
-from recast.synthetic.oracle import Oracle, OraclePool
-from recast.synthetic.rig import exposure, make_rig
-from recast.synthetic.world import World
+from recast.synthetic.world import World, exposure, make_rig
+from recast.synthetic.write import Oracle, OraclePool
 from support.small_street import small_world
 
 

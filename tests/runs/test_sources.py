@@ -26,7 +26,7 @@ from support.moments import forked
 PLANNER = """
 from beside_planner import SHARE
 from recast.planning import Plan
-from recast.planning.idm_follower import IdmLaneFollower
+from recast.planning.simple import IdmLaneFollower
 
 class Mine(IdmLaneFollower):
     name = "mine"

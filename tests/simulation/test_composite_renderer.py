@@ -16,9 +16,8 @@ from recast.simulation.oracle_renderer import (
     TrueVehicleRenderer,
 )
 from recast.simulation.scene_renderer import SceneRenderer
-from recast.synthetic.oracle import Oracle
-from recast.synthetic.rig import exposure, make_rig
-from recast.synthetic.world import World
+from recast.synthetic.world import World, exposure, make_rig
+from recast.synthetic.write import Oracle
 from support.oracle_states import at_camera, ball, state_of, street
 from support.small_street import small_world
 

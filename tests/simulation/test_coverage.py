@@ -11,13 +11,13 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
-from recast.actors.coverage import NOTHING, Coverage
+from recast.actors.actor import NOTHING, Coverage
 from recast.cameras import CameraMount, PinholeCamera
 from recast.core.errors import InputError
 from recast.geometry import se3
 from recast.simulation import MOTIONS, RolloutSetup
-from recast.simulation.coverage import ImageCoverage, RolloutCoverage, rollout_coverage
 from recast.simulation.rollout_files import load_coverage, save_coverage
+from recast.simulation.scene_renderer import ImageCoverage, RolloutCoverage, rollout_coverage
 from support.box_world import CAMERA, MOUNTS, box_log, parked_at
 from support.made_up_rollouts import make_rollout
 

@@ -8,9 +8,8 @@ import pytest
 from recast.cameras import CameraMount
 from recast.core.errors import InputError
 from recast.simulation.oracle_renderer import OracleRenderer
-from recast.synthetic.oracle import Oracle, OraclePool
-from recast.synthetic.rig import exposure, make_rig
-from recast.synthetic.world import World
+from recast.synthetic.world import World, exposure, make_rig
+from recast.synthetic.write import Oracle, OraclePool
 from support.oracle_states import state_of
 from support.small_street import small_world
 

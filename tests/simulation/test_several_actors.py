@@ -28,7 +28,7 @@ from recast.simulation import (
     run_rollout,
     save_rollout,
 )
-from recast.simulation.coverage import rollout_coverage
+from recast.simulation.scene_renderer import rollout_coverage
 from support.controlled_tracks import Bad, line, with_track
 from support.recorders import CountingRenderer, Recorder
 from support.synthetic_drives import drive
@@ -216,7 +216,7 @@ def test_all_controlled_actors_hide_each_other_in_the_coverage(setup: RolloutSet
         poses: list[set[str]] = []  # noqa: RUF012
 
         def measure(self, camera, camera_from_world, poses, shown=None):
-            from recast.actors.coverage import NOTHING
+            from recast.actors.actor import NOTHING
 
             self.poses.append(set(poses))
             return NOTHING

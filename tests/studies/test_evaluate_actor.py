@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from recast.actors import Asset, Observation, TemplateGenerator
-from recast.actors.axes import UNIT_CUBE_Z_UP
+from recast.actors.generate import UNIT_CUBE_Z_UP
 from recast.cli.main import main
 from recast.core.errors import InputError
 from recast.geometry import se3

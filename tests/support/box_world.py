@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 
-from recast.actors.coverage import Shares
+from recast.actors.actor import Shares
 from recast.cameras import CameraMount, PinholeCamera
 from recast.geometry import se2, se3
 from recast.logs.types import CameraStream, DrivingLog, Track, Trajectory

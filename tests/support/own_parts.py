@@ -14,12 +14,11 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from recast.actors.axes import VEHICLE
-from recast.actors.generate import Asset
+from recast.actors.generate import VEHICLE, Asset
 from recast.actors.observation import Observation
 from recast.arrays import Image
 from recast.planning import Plan, PlannerInput, PlanningContext
-from recast.planning.idm_follower import IdmLaneFollower
+from recast.planning.simple import IdmLaneFollower
 from recast.splats import Gaussians
 
 

@@ -18,7 +18,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from recast.splats import Gaussians, reference
+from recast.splats import Gaussians, rasterization
 from recast.splats.rasterization import TILE, RasterSettings
 
 MAX_ALPHA = 0.99
@@ -89,7 +89,7 @@ def _rasterization(
         max_alpha,
     )
     gaussians = Gaussians(means, quats, scales.log(), opacities.logit(), colors)
-    splats = reference.project(gaussians, viewmats[0], settings)
+    splats = rasterization.project(gaussians, viewmats[0], settings)
 
     columns = range(0, width, TILE)
     rubbish = torch.full((1, n, 2), math.nan)
@@ -100,7 +100,7 @@ def _rasterization(
     centres = means2d if sizes is None else _Sizes.apply(means2d, splats.ids, sizes)
     drawn = replace(splats, means2d=centres[0, splats.ids])
     rows = [
-        torch.cat([reference.tile(drawn, x, y, settings, sizes) for x in columns], dim=1)
+        torch.cat([rasterization.tile(drawn, x, y, settings, sizes) for x in columns], dim=1)
         for y in range(0, height, TILE)
     ]
     image = torch.cat(rows)[None]

@@ -9,7 +9,7 @@ import numpy as np
 import torch
 
 from recast.actors import Asset, Observation, TemplateGenerator
-from recast.actors.axes import UNIT_CUBE_Z_UP
+from recast.actors.generate import UNIT_CUBE_Z_UP
 from recast.core.errors import InputError
 from recast.recar import begin_set, finish_set, regular_azimuths, write_identity
 from recast.recar.views import fitting_distance, pinhole

@@ -5,7 +5,7 @@ import pytest
 
 from recast.synthetic import gaits
 from recast.synthetic.gaits import GEAR, STANCE, WHEEL_RADIUS, Ride, Walk, between, middle_joint
-from recast.synthetic.people import sample_cyclist, sample_pedestrian
+from recast.synthetic.populate import sample_cyclist, sample_pedestrian
 from recast.synthetic.world import VehicleModel
 
 LOOK = gaits.PersonLook(1.75, 1.0, (0.5, 0.4, 0.3), (0.1,) * 3, (0.4, 0, 0), (0, 0, 0.3), (0, 0, 0))

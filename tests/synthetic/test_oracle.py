@@ -9,9 +9,8 @@ import numpy as np
 import pytest
 
 from recast.core.errors import InputError
-from recast.synthetic.oracle import Oracle, OraclePool
-from recast.synthetic.rig import make_rig
-from recast.synthetic.world import World
+from recast.synthetic.world import World, make_rig
+from recast.synthetic.write import Oracle, OraclePool
 
 
 @pytest.fixture(scope="module")
@@ -94,7 +93,7 @@ def _fail(oracle: Oracle, job: int) -> int:
 
 _UNGUARDED = """
 from recast.core.errors import InputError
-from recast.synthetic.oracle import OraclePool
+from recast.synthetic.write import OraclePool
 
 with OraclePool(bytes(5_000_000), workers=2) as pool:
     try:

@@ -12,7 +12,7 @@ from recast.core.errors import InputError
 from recast.geometry import boxes, se2
 from recast.logs import DrivingLog, Trajectory, read_log
 from recast.synthetic import Oracle, populate, read_truth, world_metadata, world_of
-from recast.synthetic.people import Footing
+from recast.synthetic.populate import Footing
 from recast.synthetic.surface import Surface, concatenate
 from recast.synthetic.world import World, touching
 from recast.synthetic.write import synthesize_log

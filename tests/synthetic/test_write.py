@@ -11,12 +11,10 @@ from recast.cameras import PinholeCamera, box_rectangle
 from recast.core.errors import InputError
 from recast.geometry import boxes, se3
 from recast.logs import DrivingLog, Track, Trajectory, read_log
-from recast.synthetic.oracle import Oracle, instances
 from recast.synthetic.rendering import WAYMO_TOP
-from recast.synthetic.rig import CAMERAS, LIDAR, exposure, make_rig, read_truth
 from recast.synthetic.vehicles import sample_vehicle
-from recast.synthetic.world import World
-from recast.synthetic.write import synthesize_log, with_label_noise
+from recast.synthetic.world import CAMERAS, LIDAR, World, exposure, make_rig, read_truth
+from recast.synthetic.write import Oracle, instances, synthesize_log, with_label_noise
 from support.small_street import small_world
 
 FRAMES = 6

@@ -18,8 +18,8 @@ from recast.cli.main import main
 from recast.core.artefact import folder_hash
 from recast.core.errors import InputError
 from recast.planning import PLANNERS, make_planner
-from recast.planning.gtrs import folder, load_checkpoint, new_model, write_vocabulary
-from recast.planning.gtrs.folder import PREFIX
+from recast.planning.gtrs import load_checkpoint, new_model, write_vocabulary
+from recast.planning.gtrs.planner import PREFIX
 from recast.runs.sources import generator_source, planner_source, segmenter_source
 from recast.weights import (
     PUBLISHED,
@@ -116,7 +116,9 @@ def test_a_planner_by_name_is_converted_once(
     hub.commit(real.sources[0].where, {released.name: released})
     vocabulary = (tmp_path / "8192.npy").read_bytes()
     hub.web[real.sources[1].address("8192.npy").partition("://")[2]] = vocabulary
-    monkeypatch.setattr(folder, "load_checkpoint", partial(load_checkpoint, config=TINY))
+    monkeypatch.setattr(
+        "recast.planning.gtrs.planner.load_checkpoint", partial(load_checkpoint, config=TINY)
+    )
     pinned = real.sources[1].sha256["8192.npy"]
     with pytest.raises(InputError, match=f"not {pinned[:20]}"):  # of the released vocabulary
         fetch(real, accepted=True)

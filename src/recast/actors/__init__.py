@@ -1,14 +1,16 @@
 """Actors: observe a track, generate a view-complete vehicle, register it, insert it."""
 
 from recast.actors.actor import Actor, Provenance, RegistrationReport
-from recast.actors.axes import AUTO, CONVENTIONS, AxisConvention, axes_of
-from recast.actors.drawing import turntable
 from recast.actors.generate import (
+    AUTO,
+    CONVENTIONS,
     DEFAULT_GENERATOR,
     GENERATORS,
     ActorGenerator,
     Asset,
+    AxisConvention,
     BaseGenerator,
+    axes_of,
     make_generator,
 )
 from recast.actors.grounded_segmenter import (
@@ -18,7 +20,7 @@ from recast.actors.grounded_segmenter import (
     is_segmenter_folder,
     segmenter_of,
 )
-from recast.actors.insert import insert
+from recast.actors.insert import insert, turntable
 from recast.actors.mesh_generator import MeshGenerator
 from recast.actors.observation import MaskQuality, Observation, ViewScore
 from recast.actors.observe import observe

@@ -18,10 +18,9 @@ import numpy as np
 import torch
 from numpy.typing import ArrayLike
 
-from recast.actors.axes import AUTO, lengthwise_yaw
-from recast.actors.drawing import agree, draw_beside
-from recast.actors.generate import Asset, BaseGenerator
+from recast.actors.generate import AUTO, Asset, BaseGenerator, lengthwise_yaw
 from recast.actors.icp import extent, fit_of
+from recast.actors.insert import agree, draw_beside
 from recast.actors.mesh_generator import read_triangles, sampled
 from recast.actors.observation import Observation
 from recast.actors.observe import MIN_LIDAR_POINTS

@@ -19,21 +19,22 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.spatial import cKDTree
 from scipy.special import spence
 
-from recast.actors.axes import AUTO, AxisConvention, axes_of, upright
-from recast.actors.generate import Asset, BaseGenerator
+from recast.actors.generate import AUTO, Asset, AxisConvention, BaseGenerator, axes_of, upright
 from recast.actors.icp import require_volume, seen_from_outside
 from recast.actors.mesh_gltf import Array, MeshMaterial, Triangles, Wrap, files_of_glb, read_glb
 from recast.actors.mesh_obj import files_of_obj, read_obj
 from recast.actors.observation import Observation
 from recast.actors.template.cloud import (
     COVERAGE,
+    Daylight,
+    fit_harmonics,
     flat_gaussians,
     group_means,
     group_patches,
+    road_level,
     shell_groups,
     tangents,
 )
-from recast.actors.template.lighting import Daylight, fit_harmonics, road_level
 from recast.arrays import Int64Array
 from recast.core.errors import InputError
 from recast.geometry import se3
@@ -328,7 +329,7 @@ class MeshGenerator(BaseGenerator):
     Args:
         path: the file.
         axes: its axis convention, as such or as text, see `axes.axes_of`; "auto" tells which axis
-            points up from the shape and the observed box, see `recast.actors.axes.upright`.
+            points up from the shape and the observed box, see `recast.actors.generate.upright`.
         spacing: metres between the points that the surface is sampled at, once the vehicle is as
             long as the box; larger is coarser and faster.
 
@@ -403,7 +404,7 @@ def surfels(vehicle: Outside, light: Daylight) -> Gaussians:
     """Flat Gaussians of samples in metres, z up, in daylight.
 
     Samples of a voxel that look alike become one Gaussian, as wide as they are together
-    (`template.merge.flat_gaussians`); light is baked as into a template (`template.lighting`).
+    (`template.cloud.flat_gaussians`); light is baked as into a template (`template.cloud`).
     Squares of edge e side by side, each a Gaussian of deviation c e / sqrt(12), overlap
     n = 2 pi c^2 / 12 times. A Gaussian of opacity o takes n Li2(o) from the logarithm of what a
     square lets through (the integral of -log(1 - o exp(-r^2 / 2)) is 2 pi Li2(o)), so that for

@@ -16,9 +16,9 @@ from numpy.typing import ArrayLike
 from scipy.optimize import minimize
 
 from recast.actors.actor import triple
-from recast.actors.drawing import compare_views
 from recast.actors.generate import Asset
 from recast.actors.icp import Fit, FitSurface, bounds, extent, outer_surface
+from recast.actors.insert import compare_views
 from recast.actors.observation import Observation
 from recast.arrays import Array
 from recast.core.errors import InputError

@@ -22,7 +22,6 @@ from recast.actors.actor import (
     RegistrationReport,
     triple,
 )
-from recast.actors.drawing import colour_difference, compare_views
 from recast.actors.evidence import Evidence, Sighting
 from recast.actors.generate import (
     ActorGenerator,
@@ -41,7 +40,7 @@ from recast.actors.icp import (
     outer_surface,
     thinned,
 )
-from recast.actors.insert import contact_shadow
+from recast.actors.insert import colour_difference, compare_views, contact_shadow
 from recast.actors.observation import SIDES, Observation
 from recast.actors.observe import require_points
 from recast.actors.place import (

@@ -11,10 +11,17 @@ import torch
 from numpy.typing import NDArray
 from safetensors.torch import save
 
-from recast.actors.actor import Actor, Provenance, triple
-from recast.actors.axes import AUTO, VEHICLE, AxisConvention, axes_of, upright
-from recast.actors.coverage import Shares
-from recast.actors.generate import ActorGenerator, Asset, BaseGenerator
+from recast.actors.actor import Actor, Provenance, Shares, triple
+from recast.actors.generate import (
+    AUTO,
+    VEHICLE,
+    ActorGenerator,
+    Asset,
+    AxisConvention,
+    BaseGenerator,
+    axes_of,
+    upright,
+)
 from recast.actors.icp import outer_surface
 from recast.actors.mesh_generator import MESH_SUFFIXES, MeshGenerator, files_of_mesh
 from recast.actors.observation import Observation
@@ -57,7 +64,7 @@ class SplatGenerator(BaseGenerator):
         path: the file.
         axes: its axis convention, as such or as text, see `axes.axes_of`, of the axes that the file
             itself has (OpenUSD: with z up); "auto" tells which axis points up from the shape and
-            the observed box, see `recast.actors.axes.upright`.
+            the observed box, see `recast.actors.generate.upright`.
         low_pass: the filter that it was made for. None takes what the file declares
             (`recast.splats.formats`); if it declares none, that of TRELLIS for what its published
             decoder made (`made_by_trellis`), else that of 3DGS.

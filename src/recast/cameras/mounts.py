@@ -252,7 +252,7 @@ def camera_pose(position: ArrayLike, yaw: float, pitch: float) -> Array:
         yaw, pitch: degrees of the optical axis: to the left of x, and upwards.
     """
     turn, rise = np.deg2rad(yaw), np.deg2rad(pitch)
-    forward = np.array([np.cos(rise) * np.cos(turn), np.cos(rise) * np.sin(turn), np.sin(rise)])
+    forward = se3.direction(turn, rise)
     right = np.array([np.sin(turn), -np.cos(turn), 0.0])
     rotation = np.stack([right, np.cross(forward, right), forward], axis=1)
     return se3.from_rotation_translation(rotation, position)

@@ -299,7 +299,7 @@ _VEHICLES = "docs/actors.md#bring-your-own-vehicle"
 _SCENARIO_FILE = "docs/scenarios.md#your-own-as-a-file"
 
 PAGES = {
-    "recast.actors.axes": "docs/actors.md#axes",
+    "recast.actors.generate": "docs/actors.md#axes",
     "recast.actors.library": "docs/actors.md#a-library-of-vehicles",
     "recast.actors.mesh": _VEHICLES,
     "recast.actors.vehicle_files": _VEHICLES,
@@ -317,7 +317,7 @@ PAGES = {
     "recast.simulation.renderer": "docs/runs.md#restored-images",
     "recast.recar": "docs/recar.md",
     "recast.reconstruction.config": "docs/scenes.md#configuration",
-    "recast.simulation.scenario_file": _SCENARIO_FILE,
+    "recast.simulation.scenario": _SCENARIO_FILE,
     "recast.splats.cuda": "docs/rasterizer.md#on-a-gpu",
     "recast.synthetic": "docs/synthetic.md",
     "recast.trellis.checkpoints": "docs/image_to_3d.md#model-folders",

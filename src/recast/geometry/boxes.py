@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from numpy.typing import ArrayLike
 
@@ -132,3 +134,19 @@ def bev_depth(
         aside = own[1] + other[0] * sin + other[1] * cos - np.abs(dy * c - dx * s)
         found = np.minimum(found, np.minimum(ahead, aside))
     return found
+
+
+def smooth_max(fields: Sequence[Array], radius: float) -> Array:
+    """The greatest of signed distances: a box of half spaces whose edges are rounded.
+
+    The polynomial smooth maximum, of one field after the other; never below the maximum.
+
+    Args:
+        fields: distances (N,) in metres, negative inside.
+        radius: of the edges, in about metres.
+    """
+    best = fields[0]
+    for field in fields[1:]:
+        overlap: Array = np.maximum(radius - np.abs(best - field), 0.0)
+        best = np.maximum(best, field) + overlap * overlap / (4 * radius)
+    return best

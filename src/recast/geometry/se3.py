@@ -79,6 +79,17 @@ def rotation_z(angle: ArrayLike) -> Array:
     return rotation
 
 
+def direction(azimuth: ArrayLike, elevation: ArrayLike) -> Array:
+    """Unit vectors (..., 3) by azimuth from x towards y and elevation above the xy plane.
+
+    Args:
+        azimuth, elevation: radians, of shapes that broadcast.
+    """
+    level = np.cos(elevation)
+    parts = level * np.cos(azimuth), level * np.sin(azimuth), np.sin(elevation)
+    return np.stack(np.broadcast_arrays(*parts), axis=-1)
+
+
 def yaw(matrix: ArrayLike) -> Array:
     """Heading in radians of the x axis projected to the xy plane, of (..., 3 or 4, 3 or 4)."""
     matrix = np.asarray(matrix, np.float64)

@@ -2,8 +2,7 @@
 
 from recast.logs.derive_map import derive_map, ego_path, even_ground, map_of
 from recast.logs.hdmap import GroundHeight, HdMap, Lane
-from recast.logs.info import LogInfo, TrackInfo, TrackVisibility, log_info
-from recast.logs.load import load_log
+from recast.logs.load import LogInfo, TrackInfo, TrackVisibility, load_log, log_info
 from recast.logs.motion import TrackPoints, all_track_points, track_points
 from recast.logs.plausibility import OddLogWarning, Plausibility, plausibility
 from recast.logs.store import read_log, write_log

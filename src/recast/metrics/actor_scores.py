@@ -23,7 +23,7 @@ import torch
 from numpy.typing import NDArray
 
 from recast.actors import Observation
-from recast.actors.drawing import draw
+from recast.actors.insert import draw
 from recast.actors.observe import observation_of_view
 from recast.arrays import Array, Image, Mask
 from recast.cameras import PinholeCamera

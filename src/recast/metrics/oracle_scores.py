@@ -11,8 +11,8 @@ import numpy as np
 import torch
 from numpy.typing import ArrayLike
 
-from recast.actors.coverage import Coverage
-from recast.actors.drawing import draw
+from recast.actors.actor import Coverage
+from recast.actors.insert import draw
 from recast.arrays import Array, Image, Mask
 from recast.cameras import PinholeCamera, box_rectangle
 from recast.core.records import Record, read_record

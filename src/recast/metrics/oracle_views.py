@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image as PilImage
 
-from recast.actors.coverage import CoverageMeter, Shares
+from recast.actors.actor import CoverageMeter, Shares
 from recast.actors.observation import score_frame
 from recast.arrays import Array, Image
 from recast.cameras import CameraMount, PinholeCamera

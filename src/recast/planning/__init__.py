@@ -10,7 +10,6 @@ from recast.planning.cameras import (
     shown_views,
     virtual_mounts,
 )
-from recast.planning.idm_follower import IdmFollowerConfig, IdmLaneFollower
 from recast.planning.registry import (
     DEVICE_PATTERN,
     GTRS_MINI,
@@ -21,19 +20,21 @@ from recast.planning.registry import (
     planner_source,
     shipped_folder,
 )
-from recast.planning.route import DrivingCommand, ReferenceRoute, route_lanes
-from recast.planning.simple import ConstantVelocity, LogReplay
+from recast.planning.simple import ConstantVelocity, IdmFollowerConfig, IdmLaneFollower, LogReplay
 from recast.planning.types import (
     WAYPOINTS,
     ActorState,
     BasePlanner,
     Candidates,
+    DrivingCommand,
     Plan,
     Planner,
     PlannerAround,
     PlannerInput,
     PlanningContext,
+    ReferenceRoute,
     ego_status,
+    route_lanes,
 )
 
 __all__ = [

@@ -14,7 +14,7 @@ from recast.arrays import Array, BoolArray
 from recast.core.errors import InputError
 from recast.geometry import Polyline, se2
 from recast.logs.hdmap import HdMap, Lane
-from recast.planning.route import ReferenceRoute
+from recast.planning.types import ReferenceRoute
 
 
 @dataclass(frozen=True)

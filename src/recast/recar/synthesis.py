@@ -284,13 +284,7 @@ def studio_sky(rng: np.random.Generator) -> Sky:
     strength = rng.uniform(1.0, 2.0)
     warmth = rng.uniform(-0.04, 0.04)
     return Sky(
-        sun_direction=np.array(
-            [
-                np.cos(elevation) * np.cos(azimuth),
-                np.cos(elevation) * np.sin(azimuth),
-                np.sin(elevation),
-            ]
-        ),
+        sun_direction=se3.direction(azimuth, elevation),
         sun=strength * np.array([1.0 + warmth, 1.0, 1.0 - warmth]),
         zenith=np.array([0.62, 0.66, 0.72]),
         horizon=np.array([0.70, 0.71, 0.73]),

@@ -51,7 +51,7 @@ def pinhole(width: int, height: int, fov_deg: float) -> PinholeCamera:
 def camera_pose(azimuth_deg: float, elevation_deg: float, distance: float) -> Array:
     """`actor_from_camera` (4, 4) of the level OpenCV camera there that looks at the box centre."""
     a, e = np.radians(azimuth_deg), np.radians(elevation_deg)
-    forward = -np.array([np.cos(e) * np.cos(a), np.cos(e) * np.sin(a), np.sin(e)])
+    forward = -se3.direction(a, e)
     right = np.array([-np.sin(a), np.cos(a), 0.0])
     rotation = np.stack([right, np.cross(forward, right), forward], axis=1)
     return se3.from_rotation_translation(rotation, -distance * forward)

@@ -9,9 +9,8 @@ import cv2
 import numpy as np
 
 from recast.actors import Actor, orbit, turntable
-from recast.actors.actor import CandidateRecord
-from recast.actors.coverage import Coverage
-from recast.actors.drawing import coloured_by_shares
+from recast.actors.actor import CandidateRecord, Coverage
+from recast.actors.insert import coloured_by_shares
 from recast.arrays import Image
 from recast.core.images import wrapped
 from recast.reporting import palette

@@ -15,8 +15,8 @@ from recast.arrays import Array
 from recast.logs.hdmap import HdMap
 from recast.metrics import OracleViews, RolloutMetrics
 from recast.metrics.trust import RolloutTrust
-from recast.simulation.coverage import RolloutCoverage
 from recast.simulation.rollout import Rollout, RolloutFailure
+from recast.simulation.scene_renderer import RolloutCoverage
 
 Picture = Path | NDArray[np.uint8]
 """A PNG or JPEG file, or (H, W, 3) RGB or (H, W, 4) RGBA uint8."""

@@ -20,8 +20,8 @@ from recast.geometry import boxes, se2
 from recast.metrics.driving import CAP, TOUCHING
 from recast.metrics.trust import Reliability
 from recast.reporting import palette
-from recast.simulation.coverage import RolloutCoverage
 from recast.simulation.rollout import Rollout
+from recast.simulation.scene_renderer import RolloutCoverage
 
 WIDTH, HEIGHT = 600, 270
 """Of a plot, pixels on a page that is 1280 pixels wide."""

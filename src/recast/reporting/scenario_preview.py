@@ -19,7 +19,7 @@ from recast.reporting.canvas import Canvas, CanvasView, dashed
 from recast.reporting.plots import first_true
 from recast.simulation import PreparedRollout, RolloutSetup, ego_centre
 from recast.simulation.rollout_start import ON_ROAD, on_road_shares, surveyed_road
-from recast.simulation.scenario_file import scenario_name
+from recast.simulation.scenario import scenario_name
 
 _WIDTH, _MAX_HEIGHT = 1600, 620
 _HEADER = 92  # pixels

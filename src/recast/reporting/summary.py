@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from recast.actors.coverage import Coverage
+from recast.actors.actor import Coverage
 from recast.metrics import RolloutMetrics
 from recast.metrics.table import over_common_steps
 from recast.reporting.inputs import (
@@ -23,8 +23,8 @@ from recast.reporting.inputs import (
 )
 from recast.reporting.plots import Series, series
 from recast.reporting.tables import Tone
-from recast.simulation.coverage import RolloutCoverage
 from recast.simulation.rollout import Rollout, RolloutFailure
+from recast.simulation.scene_renderer import RolloutCoverage
 
 
 @dataclass(frozen=True)

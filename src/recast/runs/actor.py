@@ -31,10 +31,10 @@ from recast.actors import (
     segmenter_of,
 )
 from recast.actors.evidence import load_evidence, save_evidence
-from recast.actors.gather_evidence import gather_evidence
 from recast.actors.generate import candidates_of
 from recast.actors.insert import require_model
 from recast.actors.observation import Usable
+from recast.actors.observe import gather_evidence
 from recast.actors.refine import refine
 from recast.actors.register import choose
 from recast.core import files
@@ -61,7 +61,7 @@ from recast.scene import StreetScene
 from recast.simulation import camera_mounts
 from recast.splats import Gaussians, LowPass, write_ply
 from recast.synthetic import Oracle
-from recast.synthetic.rig import exposure
+from recast.synthetic.world import exposure
 from recast.trellis import (
     GeneratedVehicle,
     Generation,

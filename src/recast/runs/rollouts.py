@@ -16,7 +16,7 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 from rich.console import Console
 
 from recast.actors import Actor
-from recast.actors.coverage import CoverageMeter
+from recast.actors.actor import CoverageMeter
 from recast.cameras import CameraMount
 from recast.core import files
 from recast.core.errors import InputError, UnreachableError
@@ -50,15 +50,20 @@ from recast.simulation import (
     run_rollout,
     save_rollout,
 )
-from recast.simulation.coverage import Meter, RolloutCoverage, rollout_coverage
 from recast.simulation.history import other_poses
 from recast.simulation.renderer import RestoringRenderer, make_restorer
 from recast.simulation.rollout_files import load_coverage, save_coverage
-from recast.simulation.scene_renderer import SceneRenderer, through_lenses
+from recast.simulation.scene_renderer import (
+    Meter,
+    RolloutCoverage,
+    SceneRenderer,
+    rollout_coverage,
+    through_lenses,
+)
 
 if TYPE_CHECKING:
     from recast.synthetic import World
-    from recast.synthetic.oracle import OraclePool
+    from recast.synthetic.write import OraclePool
 
 _LOG = logging.getLogger(__name__)
 
@@ -220,7 +225,7 @@ class Renderers:
     @cached_property
     def _oracles(self) -> OraclePool:
         """Of all arms: processes that trace rays hold the whole world each."""
-        from recast.synthetic.oracle import OraclePool
+        from recast.synthetic.write import OraclePool
 
         return self._open.enter_context(OraclePool(self._world_of(), self._oracle_workers))
 

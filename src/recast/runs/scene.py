@@ -33,8 +33,8 @@ from recast.reconstruction import (
 from recast.scene import load_scene
 from recast.scene.exchange import IMPORT_FILE
 from recast.synthetic import Oracle, is_synthetic, world_of
-from recast.synthetic.oracle import OraclePool
-from recast.synthetic.rig import exposure, sensor_number
+from recast.synthetic.world import exposure, sensor_number
+from recast.synthetic.write import OraclePool
 
 _STREAM = 801
 

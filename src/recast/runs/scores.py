@@ -38,8 +38,8 @@ from recast.runs.config import RunConfig
 from recast.runs.rollouts import given_views, read_coverage, read_rollout
 from recast.runs.run_folder import ACTOR_FOLDER, VIEWS_FOLDER, rollout_name, use_name, use_parts
 from recast.simulation import Rollout, RolloutFailure
-from recast.simulation.coverage import RolloutCoverage
 from recast.simulation.oracle_renderer import OracleRenderer
+from recast.simulation.scene_renderer import RolloutCoverage
 
 
 @dataclass(frozen=True)

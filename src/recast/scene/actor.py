@@ -381,13 +381,7 @@ def orbit(
     distance = _DISTANCE * float(np.linalg.norm(size))
     images = []
     for azimuth in np.arange(views) * 2 * np.pi / views:
-        direction = np.array(
-            [
-                np.cos(elevation) * np.cos(azimuth),
-                np.cos(elevation) * np.sin(azimuth),
-                np.sin(elevation),
-            ]
-        )
+        direction = se3.direction(azimuth, elevation)
         pose = look_at(distance * direction, np.zeros(3))
         with torch.no_grad():
             picture = draw(gaussians, pose, camera, low_pass, background)

@@ -53,23 +53,21 @@ from recast.simulation.running import (
     run_rollout,
 )
 from recast.simulation.scenario import (
+    MOTIONS,
     BuiltInMotion,
     Scenario,
     ScenarioActor,
     ScriptedMotion,
     further_actors,
-    replaced_tracks,
-    scenario_numbers,
-    target_motion,
-)
-from recast.simulation.scenario_file import (
-    MOTIONS,
     motion,
     motion_of_record,
     parse_motions,
     read_scenario,
+    replaced_tracks,
     scenario_name,
+    scenario_numbers,
     scenario_record,
+    target_motion,
 )
 from recast.simulation.setup import (
     BaseController,

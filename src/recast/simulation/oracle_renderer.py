@@ -20,9 +20,9 @@ from recast.simulation.rollout import SimState
 from recast.simulation.scene_renderer import SceneRenderer
 from recast.splats import RasterImages
 from recast.synthetic import World
-from recast.synthetic.oracle import Oracle, OraclePool
 from recast.synthetic.rendering import CameraFrame
-from recast.synthetic.rig import exposure, sensor_number
+from recast.synthetic.world import exposure, sensor_number
+from recast.synthetic.write import Oracle, OraclePool
 
 _TRUTH_STREAM, _DISTURBANCE_STREAM = 701, 702
 

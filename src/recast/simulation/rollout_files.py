@@ -33,7 +33,7 @@ from recast.planning import WAYPOINTS
 from recast.simulation.rollout import EGO_COLUMNS, PATH_COLUMNS, ControlledActor, Rollout
 
 if TYPE_CHECKING:
-    from recast.simulation.coverage import RolloutCoverage
+    from recast.simulation.scene_renderer import RolloutCoverage
 
 VERSION: Literal[2] = 2
 """1 called the arm a method."""
@@ -228,7 +228,7 @@ def save_coverage(coverage: RolloutCoverage, path: str | Path) -> None:
         ValueError: the coverage is not valid.
         InputError: the disk refuses.
     """
-    from recast.simulation.coverage import SHARES  # needs torch
+    from recast.simulation.scene_renderer import SHARES  # needs torch
 
     coverage.validate()
     images = coverage.images
@@ -249,8 +249,8 @@ def load_coverage(path: str | Path) -> RolloutCoverage:
     Raises:
         InputError: the file or a column is missing or broken, or holds what is no coverage.
     """
-    from recast.actors.coverage import Coverage  # needs torch
-    from recast.simulation.coverage import SHARES, ImageCoverage, RolloutCoverage
+    from recast.actors.actor import Coverage  # needs torch
+    from recast.simulation.scene_renderer import SHARES, ImageCoverage, RolloutCoverage
 
     names = ("pixels", *SHARES)
     table = read_parquet(Path(path), ("camera", "step", "planned", *names), _MEND)

@@ -33,10 +33,11 @@ from recast.simulation.renderer import BaseRenderer, SensorRenderer, camera_moun
 from recast.simulation.scenario import (
     Scenario,
     further_actors,
+    motion,
     replaced_tracks,
+    scenario_name,
     target_motion,
 )
-from recast.simulation.scenario_file import motion, scenario_name
 
 if TYPE_CHECKING:
     from recast.scene.street_scene import StreetScene

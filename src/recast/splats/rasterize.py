@@ -25,9 +25,9 @@ from recast.splats.rasterization import (
     check_pose,
     check_settings,
     check_shapes,
+    rasterize_reference,
     refiltered,
 )
-from recast.splats.reference import rasterize_reference
 
 Backend = Literal["auto", "native", "gsplat", "reference"]
 DEVICE_OF = {"native": "cpu", "reference": "cpu", "gsplat": "cuda"}

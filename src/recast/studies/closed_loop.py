@@ -56,7 +56,7 @@ from recast.studies.verdicts import (
 )
 from recast.synthetic import check_drive, world_of
 from recast.synthetic.rendering import require_embree
-from recast.synthetic.rig import make_rig
+from recast.synthetic.world import make_rig
 
 _SHOWN_FAILURES = 6
 

@@ -1,6 +1,5 @@
 """Synthetic drives with ground truth: streets, vehicles, traffic, sensors, and the oracle."""
 
-from recast.synthetic.oracle import Oracle
 from recast.synthetic.populate import (
     WORLD_VERSION,
     check_drive,
@@ -9,10 +8,9 @@ from recast.synthetic.populate import (
     world_metadata,
     world_of,
 )
-from recast.synthetic.rig import CAMERAS, make_rig, read_truth
 from recast.synthetic.streets import SCENES
-from recast.synthetic.world import World
-from recast.synthetic.write import check_request, synthesize_log
+from recast.synthetic.world import CAMERAS, World, make_rig, read_truth
+from recast.synthetic.write import Oracle, check_request, synthesize_log
 
 __all__ = [
     "CAMERAS",

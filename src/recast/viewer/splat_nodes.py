@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 from torch import Tensor
 
-from recast.actors.drawing import coloured_by_shares
+from recast.actors.insert import coloured_by_shares
 from recast.arrays import Array, Float32Array
 from recast.geometry import se3
 from recast.logs import HdMap

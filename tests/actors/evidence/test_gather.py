@@ -10,7 +10,7 @@ from safetensors.torch import load_file, save_file
 
 from recast.actors import BoxLidarSegmenter
 from recast.actors.evidence import Evidence, load_evidence, save_evidence
-from recast.actors.gather_evidence import gather_evidence
+from recast.actors.observe import gather_evidence
 from recast.core.errors import InputError
 from recast.geometry import se3
 from recast.logs import DrivingLog

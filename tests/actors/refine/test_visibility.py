@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from actors import made_up_evidence
-from recast.actors.coverage import Shares
+from recast.actors.actor import Shares
 from recast.actors.refine.images import (
     Layers,
     follow_paint,

@@ -27,7 +27,7 @@ from recast.planning import (
     make_planner,
     planner_source,
 )
-from recast.planning.route import DrivingCommand, ReferenceRoute
+from recast.planning.types import DrivingCommand, ReferenceRoute
 from recast.simulation import MOTIONS, Rollout, RolloutSetup, run_rollout
 from recast.simulation.scene_renderer import SceneRenderer
 from recast_bridges.neuroncap import planner as module

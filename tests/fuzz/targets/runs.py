@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from fuzz.target import Target
-from recast.actors.coverage import NOTHING, Coverage
+from recast.actors.actor import NOTHING, Coverage
 from recast.core.files import write_json
 from recast.geometry import se3
 from recast.logs.hdmap import HdMap, Lane
@@ -20,9 +20,9 @@ from recast.runs.config import RunConfig, read_run_config
 from recast.runs.rollouts import given_views
 from recast.runs.run_folder import RunFolder, use_name
 from recast.simulation import MOTIONS, load_rollout, save_rollout, scenario_record
-from recast.simulation.coverage import ImageCoverage, RolloutCoverage
 from recast.simulation.rollout_files import load_coverage, save_coverage
-from recast.simulation.scenario_file import read_scenario
+from recast.simulation.scenario import read_scenario
+from recast.simulation.scene_renderer import ImageCoverage, RolloutCoverage
 from recast_bridges.neuroncap.scenario_file import read_ncap_scenario
 from recast_bridges.neuroncap.scenarios import ncap_runs
 from recast_bridges.openx import (

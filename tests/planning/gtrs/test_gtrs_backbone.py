@@ -21,8 +21,8 @@ from recast.planning.gtrs import (
     final_score,
     new_model,
 )
-from recast.planning.gtrs.folder import UNUSED, VOCABULARY
 from recast.planning.gtrs.model import VovNet
+from recast.planning.gtrs.planner import UNUSED, VOCABULARY
 from support.tiny_gtrs import GOLDEN, TINY
 
 

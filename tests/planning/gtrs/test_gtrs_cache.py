@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from recast.planning.gtrs import GtrsModel, new_model
-from recast.planning.gtrs.head import TensorCache
+from recast.planning.gtrs.model import TensorCache
 from support.tiny_gtrs import TINY, fan
 
 

@@ -26,7 +26,7 @@ from recast.planning.gtrs import (
     save_gtrs,
     write_vocabulary,
 )
-from recast.planning.gtrs.folder import PREFIX, VOCABULARY
+from recast.planning.gtrs.planner import PREFIX, VOCABULARY
 from support.tiny_gtrs import TINY, fan
 
 State = dict[str, torch.Tensor]

@@ -7,7 +7,7 @@ import shapely
 from recast.dynamics import PACIFICA
 from recast.dynamics import state as ego
 from recast.planning.pdm import AgentKind, extended_comfort, observed, score_extended
-from recast.planning.pdm.extended import ExtendedScores
+from recast.planning.pdm.scorer import ExtendedScores
 from support.straight_road import (
     CENTRELINE,
     CROSSING,

@@ -7,8 +7,8 @@ from pdm_golden import golden_map
 
 from recast.dynamics import PACIFICA
 from recast.planning.map import PlannerLane, PlannerMap
-from recast.planning.pdm.centreline import repair_route, route_centreline, start_block, start_lane
 from recast.planning.pdm.forecast import box_centres, outline
+from recast.planning.pdm.proposals import repair_route, route_centreline, start_block, start_lane
 
 
 def chain(names: str, connectors: str = "") -> PlannerMap:

@@ -13,8 +13,8 @@ import pytest
 from recast.core.errors import InputError
 from recast.synthetic.rendering import RayScene, render_camera
 from recast.synthetic.rendering.lighting import sample_light, sky_light
-from recast.synthetic.rendering.path_tracing import path_light, working_llvm
 from recast.synthetic.rendering.rays import normalise
+from recast.synthetic.rendering.shading import path_light, working_llvm
 from recast.synthetic.rendering.surface_points import surface_points
 from recast.synthetic.surface import concatenate
 from synthetic.rendering.shapes import CAMERA, box, camera_at, nothing, plane, pose, sky

@@ -21,13 +21,13 @@ from recast.cameras import CameraMount
 from recast.core.errors import InputError
 from recast.dynamics import state as ego
 from recast.geometry import se2, se3
-from recast.planning.route import ReferenceRoute
 from recast.planning.types import (
     WAYPOINTS,
     BasePlanner,
     Plan,
     PlannerInput,
     PlanningContext,
+    ReferenceRoute,
 )
 from recast_bridges.json_service import JsonService
 from recast_bridges.neuroncap.service import ncap_cameras, raw_image

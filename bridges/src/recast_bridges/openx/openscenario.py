@@ -24,7 +24,7 @@ from recast.logs.checks import BOX_SIDE, WORLD_REACH
 from recast.simulation.actor_motion import BaseScript
 from recast.simulation.history import prepare
 from recast.simulation.rollout import Rollout
-from recast.simulation.scenario_file import scenario_name
+from recast.simulation.scenario import scenario_name
 from recast.simulation.setup import RolloutSetup
 
 EGO_HEIGHT = 1.777

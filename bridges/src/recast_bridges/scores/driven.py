@@ -18,9 +18,8 @@ from recast.metrics.rollout_metrics import rollout_actors, rollout_collisions
 from recast.metrics.table import Metric, invalid
 from recast.planning.map import PlannerMap, continued_route, planner_map, route_blocks
 from recast.planning.pdm import ExtendedScores, Obstacle, extended_comfort
-from recast.planning.pdm.extended import LONGEST_INTERVAL, STEPS
-from recast.planning.route import ReferenceRoute
-from recast.planning.types import ActorState
+from recast.planning.pdm.scorer import LONGEST_INTERVAL, STEPS
+from recast.planning.types import ActorState, ReferenceRoute
 from recast.simulation.rollout import Rollout
 from recast_bridges.scores.two_stage import PlanScore, PlanSituation, score_plan
 

@@ -15,8 +15,8 @@ from recast.dynamics import state as ego
 from recast.geometry import boxes, se2
 from recast.planning.map import PlannerLane, PlannerMap
 from recast.planning.pdm import AgentKind, Centreline, Obstacle
-from recast.planning.pdm.centreline import heading_error
 from recast.planning.pdm.forecast import outline
+from recast.planning.pdm.proposals import heading_error
 
 _IDM = IdmParameters(min_gap=1.0, headway=1.5, max_acceleration=1.0, max_deceleration=2.0)
 _TARGET = 10.0

@@ -27,7 +27,7 @@ from recast.planning.pdm import (
     observed,
     score_extended,
 )
-from recast.planning.pdm.extended import STEPS
+from recast.planning.pdm.scorer import STEPS
 
 Traffic = Callable[[Array], ArrayLike]
 """Poses (n, 41, 3) of the obstacles' box centres, 0.1 s apart, for the ego's states (41, 11); NaN

@@ -27,8 +27,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 from torch import Tensor
 
-from recast.actors.actor import Actor
-from recast.actors.coverage import Shares
+from recast.actors.actor import Actor, Shares
 from recast.actors.evidence import Evidence, Sighting
 from recast.actors.icp import outer_surface, thinned
 from recast.actors.refine.settings import REFINE

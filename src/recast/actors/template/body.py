@@ -18,15 +18,10 @@ from scipy.interpolate import PchipInterpolator
 
 from recast.actors.template.materials import TemplateMaterial
 from recast.arrays import Array, Int64Array
+from recast.geometry.boxes import smooth_max
 
 if TYPE_CHECKING:
     from recast.actors.template.proportions import Proportions
-
-
-def smooth_max(a: Array, b: Array, radius: float) -> Array:
-    """Maximum with a rounded edge: the polynomial smooth maximum, never below `max(a, b)`."""
-    overlap: Array = np.maximum(radius - np.abs(a - b), 0.0)
-    return np.maximum(a, b) + overlap * overlap / (4 * radius)
 
 
 @dataclass(frozen=True)
@@ -147,8 +142,9 @@ class TemplateBody:
         ends = np.maximum(np.abs(x) - 0.36 * L, 0.0)
         bottom = self.clearance + 0.20 * ends**2 / (0.14 * L) - z
         edge = 0.09 * lateral
-        lower = smooth_max(smooth_max(shoulder, side, edge), smooth_max(nose, tail, 0.05), edge)
-        lower = smooth_max(lower, bottom, 0.06)
+        ends = smooth_max([nose, tail], 0.05)
+        lower = smooth_max([smooth_max([shoulder, side], edge), ends], edge)
+        lower = smooth_max([lower, bottom], 0.06)
 
         windscreen = self._raked(
             x + 0.13 * lateral * across**2, z, p.cowl_x, p.cowl_z, p.roof_front_x, 0.985, 1.0
@@ -173,11 +169,10 @@ class TemplateBody:
             self.width / 2 - 0.055 * lateral - plan - self.tumblehome * rise - 0.03 * rise**2
         )
         radius = p.edge_radius * lateral
-        greenhouse = smooth_max(smooth_max(windscreen, rear_window, 0.05), side_window, radius)
-        greenhouse = smooth_max(greenhouse, roof, radius)
-        greenhouse = smooth_max(
-            greenhouse, np.maximum(np.maximum(nose, tail), 0.6 * belt - z), 0.04
-        )
+        windows = smooth_max([windscreen, rear_window], 0.05)
+        greenhouse = smooth_max([windows, side_window, roof], radius)
+        outside = np.maximum(np.maximum(nose, tail), 0.6 * belt - z)
+        greenhouse = smooth_max([greenhouse, outside], 0.04)
         return BodyPanels(
             windscreen,
             rear_window,
@@ -220,7 +215,7 @@ class TemplateBody:
     def distance(self, points: Array) -> Array:
         """Signed distance (N,), approximate, of points (N, 3) to the body without wheels."""
         panels = self.panels(points)
-        union = -smooth_max(-panels.lower, -panels.greenhouse, 0.04)
+        union = -smooth_max([-panels.lower, -panels.greenhouse], 0.04)
         beyond = np.max(np.abs(points[:, :2]) - self.size[:2] / 2, axis=1)
         return np.maximum(np.maximum(union, -self.wells(points)), beyond)
 

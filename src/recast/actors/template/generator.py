@@ -10,29 +10,26 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from recast.actors.axes import VEHICLE
-from recast.actors.generate import Asset, BaseGenerator
+from recast.actors.generate import VEHICLE, Asset, BaseGenerator
 from recast.actors.observation import Observation
 from recast.actors.template.body import TemplateBody
 from recast.actors.template.cloud import (
+    CLEAR_DAY,
     MIRROR,
+    Daylight,
     SurfaceCloud,
     build_cloud,
-    flat_gaussians,
-    group_means,
-    group_patches,
-    shell_groups,
-    tangents,
-)
-from recast.actors.template.lighting import (
-    CLEAR_DAY,
-    Daylight,
     estimate_light,
     estimate_rims,
     estimate_windows,
     fit_harmonics,
+    flat_gaussians,
+    group_means,
+    group_patches,
     ramp,
     sh_basis,
+    shell_groups,
+    tangents,
 )
 from recast.actors.template.proportions import (
     ShapeFit,

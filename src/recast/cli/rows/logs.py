@@ -14,7 +14,7 @@ from rich.text import Text
 
 from recast.cli.shared import Rows, without_images
 from recast.core.errors import printable
-from recast.logs.info import LogInfo, TrackInfo
+from recast.logs.load import LogInfo, TrackInfo
 from recast.logs.plausibility import Figures
 from recast.reconstruction import RegionScore, SceneEvaluation
 from recast.scene.exchange import ImportRecord

@@ -38,8 +38,7 @@ from recast.logs.importers.kitti_files import (
     read_oxts,
     turn_times,
 )
-from recast.logs.motion import all_track_points
-from recast.logs.refine_trajectory import heading_offset, refine_trajectory
+from recast.logs.motion import all_track_points, heading_offset, refine_trajectory
 from recast.logs.types import (
     Array,
     CameraStream,

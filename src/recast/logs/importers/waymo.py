@@ -20,13 +20,21 @@ from recast.logs.importers.common import (
     unknown_drive,
 )
 from recast.logs.importers.waymo2 import find_segment
-from recast.logs.importers.waymo_map import decode_features, hd_map
-from recast.logs.importers.waymo_proto import LICENCE, FieldError, Message, decode
-from recast.logs.importers.waymo_segment import LabelEntry, Segment, record_errors
-from recast.logs.importers.waymo_sensors import (
+from recast.logs.importers.waymo_proto import (
+    LICENCE,
+    FieldError,
+    Message,
+    decode,
+    decode_features,
+    hd_map,
+)
+from recast.logs.importers.waymo_segment import (
     TURN_US,
+    LabelEntry,
+    Segment,
     read_cameras,
     read_lidars,
+    record_errors,
     scan_times,
     shutter_notes,
 )

@@ -19,8 +19,7 @@ import numpy as np
 
 from recast.core.errors import InputError
 from recast.core.files import disk_errors, kind_of_file
-from recast.logs.importers.waymo_map import decode_features
-from recast.logs.importers.waymo_proto import FieldError, Message, decode
+from recast.logs.importers.waymo_proto import FieldError, Message, decode, decode_features
 from recast.logs.importers.waymo_segment import (
     MEND,
     FrameEntry,

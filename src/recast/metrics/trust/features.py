@@ -12,7 +12,7 @@ from typing import Literal
 import numpy as np
 import shapely
 
-from recast.actors.coverage import Coverage
+from recast.actors.actor import Coverage
 from recast.arrays import Array, Int64Array
 from recast.cameras import box_rectangle
 from recast.dynamics import plan_to_poses
@@ -22,8 +22,8 @@ from recast.metrics.driving import CAP, TOUCHING
 from recast.metrics.oracle_views import angle_to_nearest, logged_views, view_direction
 from recast.metrics.rollout_metrics import RolloutMetrics
 from recast.metrics.table import over_common_steps
-from recast.simulation.coverage import RolloutCoverage
 from recast.simulation.rollout import Rollout
+from recast.simulation.scene_renderer import RolloutCoverage
 
 _SIDES = ("front", "left", "rear", "right")
 

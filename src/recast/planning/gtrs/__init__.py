@@ -11,16 +11,16 @@ from recast.planning.gtrs.config import (
     ViewLayout,
     network_input,
 )
-from recast.planning.gtrs.folder import (
+from recast.planning.gtrs.model import HEADS, IMITATION, METRICS, GtrsModel, empty_model, new_model
+from recast.planning.gtrs.planner import (
+    GtrsDecision,
+    GtrsPlanner,
     load_checkpoint,
     load_gtrs,
     load_weights,
     read_weights,
     save_gtrs,
 )
-from recast.planning.gtrs.head import HEADS, IMITATION, METRICS
-from recast.planning.gtrs.model import GtrsModel, empty_model, new_model
-from recast.planning.gtrs.planner import GtrsDecision, GtrsPlanner
 from recast.planning.gtrs.scores import (
     COMBINED,
     METRIC_WEIGHTS,

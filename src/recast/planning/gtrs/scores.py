@@ -18,7 +18,7 @@ from recast.core.errors import InputError
 from recast.core.files import atomic_file
 from recast.core.records import Record
 from recast.core.table_files import read_npy
-from recast.planning.gtrs.head import IMITATION
+from recast.planning.gtrs.model import IMITATION
 from recast.planning.types import WAYPOINTS
 
 Trajectories = NDArray[np.float32]

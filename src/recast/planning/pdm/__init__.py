@@ -1,11 +1,15 @@
 """PDM-Closed: proposals along the centreline, simulated, scored, the best one driven."""
 
-from recast.planning.pdm.centreline import Centreline
 from recast.planning.pdm.closed import PdmClosed, PdmClosedPlanner, PdmPlan
-from recast.planning.pdm.extended import ExtendedScores, extended_comfort, score_extended
 from recast.planning.pdm.forecast import AgentKind, Forecast, Obstacle, forecast, observed
-from recast.planning.pdm.proposals import PdmConfig
-from recast.planning.pdm.scorer import Scores, score_proposals
+from recast.planning.pdm.proposals import Centreline, PdmConfig
+from recast.planning.pdm.scorer import (
+    ExtendedScores,
+    Scores,
+    extended_comfort,
+    score_extended,
+    score_proposals,
+)
 
 __all__ = [
     "AgentKind",

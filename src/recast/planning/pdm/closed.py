@@ -18,15 +18,19 @@ from recast.dynamics import PACIFICA, VehicleParameters, track
 from recast.dynamics import state as ego
 from recast.geometry import se2
 from recast.planning.map import PlannerLane, PlannerMap, continued_route, planner_map, route_blocks
-from recast.planning.pdm.centreline import (
+from recast.planning.pdm.forecast import Forecast, Obstacle, box_centres, forecast, outline
+from recast.planning.pdm.proposals import (
+    DT,
     Centreline,
+    PdmConfig,
+    Unroll,
+    brake_plan,
+    brakes,
     repair_route,
     route_centreline,
     start_block,
     start_lane,
 )
-from recast.planning.pdm.forecast import Forecast, Obstacle, box_centres, forecast, outline
-from recast.planning.pdm.proposals import DT, PdmConfig, Unroll, brake_plan, brakes
 from recast.planning.pdm.scorer import Scores, score_proposals
 from recast.planning.types import (
     WAYPOINTS,

@@ -248,8 +248,7 @@ def directions() -> tuple[Array, Array]:
     """Directions (D, 3) for the sun, all azimuths for each elevation, and their shares (D,)."""
     azimuth = np.arange(AZIMUTHS) * 2 * np.pi / AZIMUTHS
     e, a = (grid.ravel() for grid in np.meshgrid(ELEVATIONS, azimuth, indexing="ij"))
-    towards = np.stack([np.cos(e) * np.cos(a), np.cos(e) * np.sin(a), np.sin(e)], axis=-1)
-    return towards, np.cos(e) / np.cos(e).sum()
+    return se3.direction(a, e), np.cos(e) / np.cos(e).sum()
 
 
 def find_sun(patches: Patches, occupancy: Occupancy) -> SunBelief:

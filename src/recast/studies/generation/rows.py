@@ -14,7 +14,7 @@ from typing import Annotated, Literal
 from pydantic import AfterValidator, Field
 
 from recast.actors import make_generator
-from recast.actors.axes import AUTO
+from recast.actors.generate import AUTO
 from recast.actors.library import LIBRARY, LibraryGenerator
 from recast.actors.vehicle_files import VEHICLE_SUFFIXES, is_vehicle_file
 from recast.arrays import Image

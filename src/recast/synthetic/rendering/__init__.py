@@ -4,7 +4,6 @@
 `synthetic` (embreex) when a scene is made, not when this package is imported.
 """
 
-from recast.synthetic.rendering.path_tracing import working_llvm
 from recast.synthetic.rendering.rays import SKY, STREET, Hits, RayScene, require_embree
 from recast.synthetic.rendering.sensors import (
     WAYMO_TOP,
@@ -14,6 +13,7 @@ from recast.synthetic.rendering.sensors import (
     render_camera,
     scan_lidar,
 )
+from recast.synthetic.rendering.shading import working_llvm
 
 __all__ = [
     "SKY",

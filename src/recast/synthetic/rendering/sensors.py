@@ -22,7 +22,6 @@ from recast.synthetic.rendering.lighting import (
     sample_light,
     sky_light,
 )
-from recast.synthetic.rendering.path_tracing import path_light
 from recast.synthetic.rendering.rays import (
     SKY,
     Float32Array,
@@ -42,6 +41,7 @@ from recast.synthetic.rendering.shading import (
     borrow_light,
     develop,
     edge_pixels,
+    path_light,
     shade,
 )
 from recast.synthetic.rendering.surface_points import (
@@ -345,12 +345,7 @@ class LidarSpec:
         """Unit directions (B * azimuths, 3) in the LiDAR frame, beam by beam."""
         azimuth = np.arange(self.azimuths) * (2 * np.pi / self.azimuths)
         elevation = np.asarray(self.elevations, np.float64)[:, None]
-        parts = (
-            np.cos(elevation) * np.cos(azimuth),
-            np.cos(elevation) * np.sin(azimuth),
-            np.sin(elevation) + 0 * azimuth,
-        )
-        return np.stack(parts, axis=-1).reshape(-1, 3).astype(np.float32)
+        return se3.direction(azimuth, elevation).reshape(-1, 3).astype(np.float32)
 
 
 def _waymo_elevations() -> Array:

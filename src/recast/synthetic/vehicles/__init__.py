@@ -6,8 +6,7 @@ import numpy as np
 
 from recast.synthetic.surface import at, concatenate
 from recast.synthetic.vehicles.bodywork import Parts
-from recast.synthetic.vehicles.cars import car
-from recast.synthetic.vehicles.heavy import box_truck, bus
+from recast.synthetic.vehicles.kinds import box_truck, bus, car
 from recast.synthetic.vehicles.parameters import (
     COLOURS,
     KIND_SHARES,

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from recast.arrays import Array
+from recast.geometry.boxes import smooth_max
 from recast.synthetic.surface import Surface, at, corner_normals, sheet, spindle
-from recast.synthetic.vehicles.loft import LoftedBody, half_box
 from recast.synthetic.vehicles.parameters import VehicleSizes
 from recast.synthetic.vehicles.solid import (
     ALLOY,
@@ -33,10 +33,11 @@ from recast.synthetic.vehicles.solid import (
     TYRE,
     Area,
     Finish,
+    LoftedBody,
     Solid,
+    half_box,
     rectangle,
     rounded,
-    smooth_max,
     strip,
 )
 

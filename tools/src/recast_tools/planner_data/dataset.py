@@ -23,8 +23,8 @@ from recast.planning.gtrs.scores import Trajectories, read_vocabulary, write_voc
 from recast.planning.types import ego_status
 from recast.runs.run_folder import STORE_FOLDER
 from recast.synthetic import make_world
-from recast.synthetic.oracle import Oracle
-from recast.synthetic.rig import make_rig
+from recast.synthetic.world import make_rig
+from recast.synthetic.write import Oracle
 from recast_tools.planner_data.reconstruction import (
     RECONSTRUCTED,
     Reconstruction,

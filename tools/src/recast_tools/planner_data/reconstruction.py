@@ -36,8 +36,8 @@ from recast.runs.sources import SourceLog, generator_source, segmenter_source
 from recast.scene import StreetScene, load_scene
 from recast.scene.street_scene import SceneRasterizer
 from recast.synthetic import World
-from recast.synthetic.oracle import Oracle
-from recast.synthetic.rig import exposure
+from recast.synthetic.world import exposure
+from recast.synthetic.write import Oracle
 from recast_tools.planner_data.stage import SampleStage, stage_of
 from recast_tools.planner_training.samples import RENDERERS, Renderer
 from recast_tools.planner_training.task import HALF_VIEWS

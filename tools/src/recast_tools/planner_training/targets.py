@@ -20,7 +20,7 @@ from recast.dynamics import state as ego
 from recast.dynamics.tracker import comfortable_plans
 from recast.geometry import se2
 from recast.geometry.boxes import bev_touching
-from recast.planning.gtrs.head import METRICS
+from recast.planning.gtrs.model import METRICS
 from recast.planning.gtrs.scores import Trajectories
 from recast.planning.map import PlannerMap
 from recast.planning.pdm import Centreline

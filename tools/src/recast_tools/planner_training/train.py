@@ -17,7 +17,7 @@ from recast.core.files import folder_name, write_bytes, write_json
 from recast.core.records import Record, read_record
 from recast.logs.images import encode
 from recast.planning.gtrs import GtrsModel, GtrsPlanner, load_gtrs, save_gtrs
-from recast.planning.gtrs.folder import CONFIG_FILE, WEIGHTS_FILE
+from recast.planning.gtrs.planner import CONFIG_FILE, WEIGHTS_FILE
 from recast.recar.training import hash_files
 from recast.training.loop import TrainingBar, train
 from recast.training.state import TrainingState
