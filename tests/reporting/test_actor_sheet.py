@@ -15,7 +15,7 @@ from recast.actors.drawing import coloured_by_shares
 from recast.cli.main import main
 from recast.core.lettering import wrapped
 from recast.reporting import palette, read_video
-from recast.reporting.actor_sheet import draw_actor_sheet, turntable_frames
+from recast.reporting.previews import draw_actor_sheet, turntable_frames
 from reporting.made_up_actor import refined_actor
 
 # Machado, Oliveira and Fernandes 2009: linear RGB as people see it who lack one kind of cone.

@@ -23,15 +23,17 @@ from recast.core.images import decode_image, rgb
 from recast.core.lettering import draw_text
 from recast.core.names import folder_name
 from recast.core.progress import ProgressBar
-from recast.metrics.scene_level.frames import RolloutFrame, read_frames, read_references
-from recast.metrics.scene_level.scores import (
+from recast.metrics.scene_level_images import (
     COLUMNS,
     FEATURES_FILE,
     Features,
     Networks,
+    RolloutFrame,
     load_features,
+    read_frames,
+    read_references,
 )
-from recast.metrics.scene_level.summary import (
+from recast.metrics.scene_level_table import (
     LevelRow,
     MeasuredScene,
     cell,
@@ -46,12 +48,12 @@ from recast.runs.display import narrow_table
 from recast.runs.run_folder import use_name
 from recast.studies.closed_loop import broken_name, check_grid
 from recast.studies.grid import RESULTS_FILE, begin
-from recast.studies.scene_level.request import LevelSettings
-from recast.studies.scene_level.scene import (
+from recast.studies.scene_level_tasks import (
     FEATURES,
     FRAMES,
     REFERENCES,
     REPLAY,
+    LevelSettings,
     LevelTasks,
     LevelWorker,
     measured,
