@@ -10,7 +10,7 @@ from recast.cli.rows.logs import list_scenarios, place_scenarios, show_scenarios
 from recast.core.errors import InputError
 from recast.logs import write_log
 from recast.logs.hdmap import HdMap
-from recast.reporting.canvas import Canvas, CanvasView
+from recast.reporting.drawing import Canvas, CanvasView
 from recast.reporting.previews import draw_scenarios, facts_table, notes, scenario_facts
 from recast.simulation import MOTIONS, RolloutSetup, prepare
 from support.synthetic_drives import drive

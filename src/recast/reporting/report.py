@@ -15,7 +15,7 @@ import numpy as np
 from recast.core.workers import usable_cores
 from recast.logs.hdmap import HdMap
 from recast.metrics import Agreement, AngleBin, OracleView, OracleViews, read_oracle_views
-from recast.reporting import palette, plots, summary, tables
+from recast.reporting import drawing, plots, summary, tables
 from recast.reporting.birdseye import Birdseye, BirdseyeStyle, MapLayer
 from recast.reporting.inputs import (
     NOT_MADE,
@@ -65,11 +65,11 @@ def _scenario(
         p.arm: Birdseye(p.rollout, layer, log_path) for p in parts if isinstance(p.rollout, Rollout)
     }
     # Videos are encoded meanwhile: `birdseye` and `joined` are asked for last.
-    drawing = {p.arm: _draw(p, driven[p.arm], assets, pool) for p in parts if p.arm in driven}
+    pictured = {p.arm: _draw(p, driven[p.arm], assets, pool) for p in parts if p.arm in driven}
     curves = [
         plots.Curves(
             run.arms[p.arm],
-            palette.arm_colour(order[p.arm]),
+            drawing.arm_colour(order[p.arm]),
             driven[p.arm].curves,
             None if isinstance(p.metrics, NotMade) else p.metrics.ttc.per_cycle,
         )
@@ -78,7 +78,7 @@ def _scenario(
     ]
     cameras = filmed_cameras(parts)
     joined = _joined(
-        run, {arm: one["films"] for arm, one in drawing.items()}, cameras, assets, pool
+        run, {arm: one["films"] for arm, one in pictured.items()}, cameras, assets, pool
     )
     covered = [p for p in parts if p.coverage is not None and p.arm in driven]
     end = max((float(one.curves.time[-1]) for one in driven.values()), default=0.0)
@@ -88,8 +88,8 @@ def _scenario(
         {
             "title": run.arms[p.arm],
             "arm": order[p.arm],
-            "drawn": {**drawing[p.arm], "birdseye": drawing[p.arm]["birdseye"].result()}
-            if p.arm in drawing
+            "drawn": {**pictured[p.arm], "birdseye": pictured[p.arm]["birdseye"].result()}
+            if p.arm in pictured
             else NotMade(summary.why_missing(p.rollout)),
         }
         for p in parts
@@ -108,10 +108,10 @@ def _scenario(
             *(_coverage_plot(run, p, end) for p in covered),
         ],
         "legend": [
-            *((palette.css(curve.colour), f"ego, {curve.label}") for curve in curves),
-            (palette.css(palette.ACTOR), "actor"),
+            *((drawing.css(curve.colour), f"ego, {curve.label}") for curve in curves),
+            (drawing.css(drawing.ACTOR), "actor"),
             ("currentColor", "ego as recorded (dotted)"),
-            *((palette.css(colour), name) for name, colour in palette.SHARES.items() if covered),
+            *((drawing.css(colour), name) for name, colour in drawing.SHARES.items() if covered),
         ],
         "seconds": end,
         "dt": next((one.rollout.dt for one in driven.values()), 0.1),
@@ -310,7 +310,7 @@ def _plot(part: TruthPart, measure: str, title: str, label: str) -> Plot:
     figure.band(_LIMIT, 180.0)
     told = []
     for arm, index in part.colours.items():
-        colour = palette.css(palette.arm_colour(index))
+        colour = drawing.css(drawing.arm_colour(index))
         figure.dots(angles, values[arm], colour, 3.5, 0.55)
         members = [(angles >= first) & (angles < last) for first, last in _BINS]
         means = [(angles[m].mean(), values[arm][m].mean()) for m in members if m.any()]

@@ -43,7 +43,7 @@ from recast.metrics.scene_level_table import (
     warnings,
     write_images,
 )
-from recast.reporting.canvas import at_width
+from recast.reporting.drawing import at_width
 from recast.runs.display import narrow_table
 from recast.runs.run_folder import use_name
 from recast.studies.closed_loop import broken_name, check_grid
