@@ -30,13 +30,16 @@ from recast.geometry import se3
 from recast.scene import StreetScene
 from recast.scene.sky import SkyMap
 from recast.splats import set_threads
-from recast_bridges.alpasim.messages import CHANNEL_OPTIONS, SENSORSIM_SERVICES, message, parse
-from recast_bridges.alpasim.requests import (
+from recast_bridges.alpasim.messages import (
+    CHANNEL_OPTIONS,
     JPEG,
     PLANAR,
     PNG,
+    SENSORSIM_SERVICES,
     camera_message,
     encode,
+    message,
+    parse,
     pose_pair,
     read_requests,
 )

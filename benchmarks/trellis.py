@@ -23,7 +23,6 @@ from torch.nn.functional import max_pool3d
 from recast.trellis import ImageTo3D
 from recast.trellis.checkpoint_sizes import SMALL, new_checkpoint
 from recast.trellis.generate import Stopwatch
-from recast.trellis.slat_vae import SLatEncoder
 from recast.trellis.sparse import (
     OFFSETS,
     SparseTensor,
@@ -33,7 +32,7 @@ from recast.trellis.sparse import (
     window_partition,
 )
 from recast.trellis.sparse_convolution import submanifold_convolution
-from recast.trellis.ss_vae import SparseStructureEncoder
+from recast.trellis.vae import SLatEncoder, SparseStructureEncoder
 
 HEAD_CHANNELS = 32
 WINDOW, SHIFT = 8, 4

@@ -26,7 +26,7 @@ from recast.splats import CLASSIC, MIP, Gaussians, LowPass, write_ply
 from recast.studies.generation.cells import place_canonical
 from recast.synthetic.vehicles import KINDS, sample_vehicle
 from recast.trellis import viewer_frame
-from recast.trellis.slat_vae import RepresentationConfig, offset_perturbation, raw_to_gaussians
+from recast.trellis.vae import RepresentationConfig, offset_perturbation, raw_to_gaussians
 from support import made_up_actors as made_up
 
 SIZES = {

@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 from recast.cli.main import main
-from recast.runs.demo import FULL, QUICK
+from recast.runs.run import FULL, QUICK
 
 
 @pytest.mark.parametrize(
@@ -18,7 +18,7 @@ def test_the_quick_demo_is_another_folder_and_smaller(
     words: tuple[str, ...], folder: str, size: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     asked: list[tuple[Any, ...]] = []
-    monkeypatch.setattr("recast.runs.demo.demo", lambda *args: asked.append(args))
+    monkeypatch.setattr("recast.runs.run.demo", lambda *args: asked.append(args))
     assert main(["demo", *words, "--seed", "3"]) == 0
     [(out, scene, seed, asked_size, threads, _, generator, planner)] = asked
     assert (out, asked_size) == (Path(folder), size)

@@ -126,7 +126,7 @@ def test_models_and_sets(tmp_path: Path, capsys: Capture) -> None:
 
 
 def test_targets(tmp_path: Path, capsys: Capture) -> None:
-    from recast.cli.rows.vehicles import target_rows
+    from recast.cli.rows.results import target_rows
     from recast.recar.targets import target_statistics
     from support.target_caches import write_cache
 
@@ -177,7 +177,7 @@ def test_run_and_demo(
         _metrics(out / "run", means)
 
     monkeypatch.setattr("recast.runs.run.run", ran)
-    monkeypatch.setattr("recast.runs.demo.demo", demo)
+    monkeypatch.setattr("recast.runs.run.demo", demo)
     words = ("demo",) if command == "demo" else ("run", "log", "--track", "0")
     (tmp_path / "run").mkdir()
     tables = rows_of(capsys, *words, "--out", tmp_path)
@@ -187,7 +187,7 @@ def test_run_and_demo(
 
 
 def test_bench(tmp_path: Path, capsys: Capture, monkeypatch: pytest.MonkeyPatch) -> None:
-    from recast.metrics.scene_level.summary import LevelRow, Value
+    from recast.metrics.scene_level_table import LevelRow, Value
     from recast.studies.closed_loop import summarise
     from recast.studies.grid import GridRow
 
@@ -239,7 +239,7 @@ def test_bench(tmp_path: Path, capsys: Capture, monkeypatch: pytest.MonkeyPatch)
     assert tables["failures"][0]["reason"] == "no road"
 
     lines = [LevelRow("native", 3, {"lpips": Value(0.25, 0.1, float("nan"))})]
-    monkeypatch.setattr("recast.studies.scene_level.run_scene_level", lambda *_, **__: lines)
+    monkeypatch.setattr("recast.studies.scene_level_study.run_scene_level", lambda *_, **__: lines)
     [score] = rows_of(capsys, "bench", "scene-level", *common)["scores"]
     assert (score["score"], score["value"], score["high"]) == ("lpips", 0.25, None)
 
@@ -254,7 +254,7 @@ def test_scene_eval(
     whole = RegionScore(30.0, 0.9)
     frame = FrameScore("front", 0, 0, whole, {"7": 25.0}, whole, depth)
     monkeypatch.setattr(
-        "recast.runs.scene.evaluate_and_print", lambda *_, **__: SceneEvaluation((frame,))
+        "recast.runs.display.evaluate_and_print", lambda *_, **__: SceneEvaluation((frame,))
     )
     tables = rows_of(capsys, "scene", "eval", "scene", "--log", tiny_log_folder)
     assert [row["region"] for row in tables["held_out_images"]] == [
@@ -270,7 +270,7 @@ def test_scene_eval(
 
 def test_vehicles_and_planners(capsys: Capture) -> None:
     from recast.actors.actor import CandidateRecord, CandidateScore
-    from recast.cli.rows import vehicles
+    from recast.cli.rows import results
     from recast.metrics.table import Bootstrap
     from recast.studies.actors import ActorEvaluation, TrackResult
     from recast.studies.generation.report import StudyBlock, StudyDifference, StudyRow
@@ -294,10 +294,10 @@ def test_vehicles_and_planners(capsys: Capture) -> None:
     )
     probed = ProbeRow("street", "cut-in-a", {"visible": 1.5}, {"visible": 2.0}, {"visible": 30.0})
     for rows in (
-        vehicles.candidate_rows([chosen, failed]),
-        vehicles.actor_rows(ActorEvaluation("g", 0, (), {"w": "empty"}, {"psnr": 20.0})),
-        vehicles.track_rows([TrackResult("7", 3, {"refined": 25.0}, {"refined": 0.8}, {})]),
-        vehicles.study_rows([block]),
+        results.candidate_rows([chosen, failed]),
+        results.actor_rows(ActorEvaluation("g", 0, (), {"w": "empty"}, {"psnr": 20.0})),
+        results.track_rows([TrackResult("7", 3, {"refined": 25.0}, {"refined": 0.8}, {})]),
+        results.study_rows([block]),
         _probe_rows([probed, ProbeRow("s", "m", {}, {}, {}, "no road")]),
     ):
         print_json(rows)

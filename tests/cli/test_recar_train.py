@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 import tyro
 
-from recast.cli.recar_train import RecarTrain
+from recast.cli.recar import RecarTrain
 from recast.core.errors import InputError
 from recast.core.files import write_json
 from recast.recar.training_config import read_training_record

@@ -12,8 +12,8 @@ from hypothesis import strategies as st
 
 from recast.core.errors import InputError
 from recast.metrics.actor_scores import ScoredCutout, framed, photographed
-from recast.metrics.features import FEATURE_KINDS, TOY_DIMENSIONS, ToyFeatures, load_embedders
-from recast.metrics.inception import CONVOLUTIONS, load_inception
+from recast.metrics.frechet import CONVOLUTIONS, load_inception
+from recast.metrics.perceptual import FEATURE_KINDS, TOY_DIMENSIONS, ToyFeatures, load_embedders
 from support.crops import photograph, two_coloured_box
 
 TOY = ToyFeatures()

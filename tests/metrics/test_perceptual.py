@@ -24,8 +24,7 @@ from transformers import (
 from recast.core.errors import InputError
 from recast.metrics import perceptual
 from recast.metrics.actor_scores import photographed, score_view
-from recast.metrics.features import FeatureDistance
-from recast.metrics.perceptual import BACKBONES, Lpips, load_distances, load_lpips
+from recast.metrics.perceptual import BACKBONES, FeatureDistance, Lpips, load_distances, load_lpips
 from recast.pretrained import resized
 from support.tiny_clip import write_clip
 

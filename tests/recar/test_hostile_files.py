@@ -20,8 +20,12 @@ from recast.recar import read_real_crops, read_set, set_statistics, statistics_t
 from recast.recar.ingest import read_doubts
 from recast.recar.ingest_table import read_table
 from recast.recar.perturb import read_perturbations
-from recast.recar.screening import read_decisions, screened_vehicles, write_screening
-from recast.recar.statistics import write_overview
+from recast.recar.screening import (
+    read_decisions,
+    screened_vehicles,
+    write_overview,
+    write_screening,
+)
 from recast.recar.target_cache import TargetCache
 from recast.recar.training_config import read_stage_config, read_training_record
 from recast.training.loop import read_log_lines, train

@@ -22,7 +22,7 @@ from recast.recar.perturb import (
     surroundings,
     write_perturbations,
 )
-from recast.recar.perturb_kind import PerturbationKind, find_object
+from recast.recar.perturb_camera import PerturbationKind, find_object
 from recast.trellis import check_crop
 
 from .perturb_cars import difference, drawn_car

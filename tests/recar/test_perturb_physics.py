@@ -8,23 +8,21 @@ import pytest
 from recast.geometry.colour import linear_to_srgb, srgb_to_linear
 from recast.recar.perturb import PerturbationConfig
 from recast.recar.perturb_camera import (
+    ObjectBox,
+    backdrop,
     convolve,
     disc_kernel,
     koschmieder,
     line_kernel,
+    premultiplied,
     quality_between,
     resample,
-    sensor_noise,
-    through_jpeg,
-)
-from recast.recar.perturb_kind import (
-    ObjectBox,
-    backdrop,
-    premultiplied,
     reveal,
+    sensor_noise,
     shrinking,
     signed_distance,
     straight,
+    through_jpeg,
     value_noise,
 )
 from recast.recar.perturb_outline import occlude

@@ -13,8 +13,13 @@ from recast.cli.main import main
 from recast.core.errors import InputError
 from recast.core.files import read_json, write_json
 from recast.recar import VehicleSet, read_set, set_statistics
-from recast.recar.screening import read_decisions, screened_vehicles, write_screening
-from recast.recar.statistics import swatch, write_overview
+from recast.recar.screening import (
+    read_decisions,
+    screened_vehicles,
+    swatch,
+    write_overview,
+    write_screening,
+)
 from recast.recar.target_cache import TargetCache
 from recast.recar.targets import screened_targets
 from support.target_caches import write_cache

@@ -18,7 +18,7 @@ from recast.reconstruction.densify import (
 )
 from recast.reconstruction.settings import INIT
 from recast.reconstruction.views import read_views
-from recast.runs.scene import describe
+from recast.runs.display import describe
 from support.tiny_street import TINY
 
 

@@ -5,7 +5,7 @@ import io
 from rich.console import Console
 
 from recast.reconstruction import TrainingStatus
-from recast.runs.scene import TrainingDisplay, describe
+from recast.runs.display import TrainingDisplay, describe
 
 STATUS = TrainingStatus(
     "train",

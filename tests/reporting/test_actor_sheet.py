@@ -14,8 +14,8 @@ from recast.actors import Actor, save_actor, turntable
 from recast.actors.insert import coloured_by_shares
 from recast.cli.main import main
 from recast.core.images import wrapped
-from recast.reporting import palette, read_video
-from recast.reporting.actor_sheet import draw_actor_sheet, turntable_frames
+from recast.reporting import drawing, read_video
+from recast.reporting.previews import draw_actor_sheet, turntable_frames
 from reporting.made_up_actor import refined_actor
 
 # Machado, Oliveira and Fernandes 2009: linear RGB as people see it who lack one kind of cone.
@@ -59,13 +59,13 @@ def lab(linear: np.ndarray) -> np.ndarray:
 
 @pytest.mark.parametrize("deficit", DEFICITS)
 def test_the_colours_are_told_apart_by_everyone(deficit: str) -> None:
-    linear = (np.array(list(palette.SHARES.values())) / 255) ** 2.2
+    linear = (np.array(list(drawing.SHARES.values())) / 255) ** 2.2
     seen = [lab(np.array(DEFICITS[deficit]) @ colour) for colour in linear]
     assert all(np.linalg.norm(a - b) > FAR_APART for a, b in combinations(seen, 2))
 
 
 def test_each_side_has_the_colour_of_its_share(actor: Actor) -> None:
-    colours = {name: np.array(colour) / 255 for name, colour in palette.SHARES.items()}
+    colours = {name: np.array(colour) / 255 for name, colour in drawing.SHARES.items()}
     painted = coloured_by_shares(actor, [colour.tolist() for colour in colours.values()])
     ahead, left, behind, _ = turntable(
         painted, views=4, width=96, height=64, background=(0, 0, 0), with_shadow=False
@@ -82,7 +82,7 @@ def test_each_side_has_the_colour_of_its_share(actor: Actor) -> None:
 
 def test_the_sheet_shows_looks_and_shares(actor: Actor, sheet: np.ndarray) -> None:
     assert sheet.shape[1:] == (1600, 3) and sheet.dtype == np.uint8
-    for colour in palette.SHARES.values():  # the legend's squares, to the byte
+    for colour in drawing.SHARES.values():  # the legend's squares, to the byte
         assert (sheet == colour).all(axis=2).sum() > 100
     np.testing.assert_array_equal(draw_actor_sheet(actor), sheet)
 
@@ -91,7 +91,7 @@ def test_an_actor_without_shares_has_a_sheet_too(actor: Actor, sheet: np.ndarray
     story = actor.provenance.model_copy(update={"refinement": None, "candidates": ()})
     plain = draw_actor_sheet(replace(actor, shares=None, trajectory=None, provenance=story))
     assert sheet.shape[0] - plain.shape[0] > 2 * 225  # two rows of views fewer
-    for colour in palette.SHARES.values():
+    for colour in drawing.SHARES.values():
         assert not (plain == colour).all(axis=2).any()
 
 

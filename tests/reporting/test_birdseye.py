@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from recast.reporting import BirdseyeStyle, draw_frames, draw_still, palette
-from recast.reporting.canvas import Canvas, CanvasView, dashed
+from recast.reporting import BirdseyeStyle, draw_frames, draw_still, drawing
+from recast.reporting.drawing import Canvas, CanvasView, dashed
 from recast.reporting.plots import planned_paths, series
 from reporting.made_up_rollouts import cut_in, straight_map, turned
 
@@ -16,7 +16,7 @@ SMALL = BirdseyeStyle(film_width=480, film_height=160, still_width=800, still_ma
 number = st.floats(-200, 200)
 
 
-def count(image: np.ndarray, colour: palette.Colour) -> int:
+def count(image: np.ndarray, colour: drawing.Colour) -> int:
     return int(np.all(image == colour, axis=-1).sum())
 
 
@@ -52,13 +52,13 @@ def test_shapes_drawn_together_are_those_drawn_one_by_one() -> None:
     view = CanvasView(np.array([3.0, -2.0]), 0.4, 5.0, 200, 120)
     chains = [rng.uniform(-15, 15, (count, 2)) for count in (3, 7, 4, 5)]  # overlapping
     together, alone = Canvas(view), Canvas(view)
-    together.polygons(chains, palette.EGO)
-    together.lines(chains, palette.PLAN, 2)
-    together.polygons([], palette.GRID)
+    together.polygons(chains, drawing.EGO)
+    together.lines(chains, drawing.PLAN, 2)
+    together.polygons([], drawing.GRID)
     for chain in chains:
-        alone.polygon(chain, palette.EGO)
+        alone.polygon(chain, drawing.EGO)
     for chain in chains:
-        alone.line(chain, palette.PLAN, 2)
+        alone.line(chain, drawing.PLAN, 2)
     np.testing.assert_array_equal(together.image, alone.image)
 
 
@@ -84,9 +84,9 @@ def test_film_shows_every_car_wherever_it_is(pose: tuple[float, float, float]) -
     ego = rollout.ego_size[0] * rollout.ego_size[1] * scale**2
     for image in frames:
         assert image.shape == (160, 480, 3) and image.dtype == np.uint8
-        assert count(image, palette.EGO) > 0.4 * ego
-        assert count(image, palette.ACTOR) > 0.3 * ego
-        assert count(image, palette.PLAN) > 20
+        assert count(image, drawing.EGO) > 0.4 * ego
+        assert count(image, drawing.ACTOR) > 0.3 * ego
+        assert count(image, drawing.PLAN) > 20
 
 
 def test_turning_the_world_does_not_change_the_picture_of_the_cars() -> None:
@@ -94,7 +94,7 @@ def test_turning_the_world_does_not_change_the_picture_of_the_cars() -> None:
         list(draw_frames(turned(cut_in(steps=10), pose), None, None, SMALL))[10]
         for pose in ((0.0, 0.0, 0.0), (300.0, -120.0, 2.4))
     )
-    for colour in (palette.EGO, palette.ACTOR):
+    for colour in (drawing.EGO, drawing.ACTOR):
         first, second = (np.all(image == colour, axis=-1) for image in (here, there))
         assert (first != second).sum() < 0.1 * first.sum()
 
@@ -104,12 +104,12 @@ def test_contact_is_marked_only_when_there_is_one() -> None:
     hit = series(rollout).collision_step
     assert hit is not None
     frames = list(draw_frames(rollout, None, None, SMALL))
-    assert count(frames[hit - 1], palette.COLLISION) == 0
-    assert count(frames[hit], palette.COLLISION) > 30
-    assert count(draw_still(rollout, None, None, SMALL), palette.COLLISION) > 30
+    assert count(frames[hit - 1], drawing.COLLISION) == 0
+    assert count(frames[hit], drawing.COLLISION) > 30
+    assert count(draw_still(rollout, None, None, SMALL), drawing.COLLISION) > 30
     braking = cut_in(steps=40, brake=1.5)
     assert series(braking).collision_step is None
-    assert count(draw_still(braking, None, None, SMALL), palette.COLLISION) == 0
+    assert count(draw_still(braking, None, None, SMALL), drawing.COLLISION) == 0
 
 
 def test_the_map_is_drawn_where_it_is() -> None:
@@ -117,16 +117,16 @@ def test_the_map_is_drawn_where_it_is() -> None:
     with_map, without = (
         next(iter(draw_frames(rollout, hd_map, None, SMALL))) for hd_map in (straight_map(), None)
     )
-    assert count(without, palette.DRIVABLE) == 0
-    assert count(with_map, palette.DRIVABLE) > 5000
-    assert np.all(with_map[5, 300] != palette.DRIVABLE)  # 14 m beside the road
+    assert count(without, drawing.DRIVABLE) == 0
+    assert count(with_map, drawing.DRIVABLE) > 5000
+    assert np.all(with_map[5, 300] != drawing.DRIVABLE)  # 14 m beside the road
 
 
 def test_recorded_paths_are_drawn_only_if_given() -> None:
     rollout = cut_in(steps=20)
     path = np.stack([np.linspace(10, 60, 50), np.full(50, -6.0)], axis=1)
     images = [draw_still(rollout, None, given, SMALL) for given in (path, None)]
-    colour = palette.dimmed(palette.ACTOR, 0.45)
+    colour = drawing.dimmed(drawing.ACTOR, 0.45)
     assert count(images[0], colour) > count(images[1], colour) + 50
 
 

@@ -5,15 +5,15 @@ import re
 import numpy as np
 import pytest
 
-from recast.reporting import palette, plots
+from recast.reporting import drawing, plots
 from recast.reporting.plots import Figure, series, ticks
 from reporting.made_up_rollouts import cut_in
 
 
 def curves() -> list[plots.Curves]:
     return [
-        plots.Curves("Native", palette.arm_colour(0), series(cut_in(steps=30)), np.full(6, 4.0)),
-        plots.Curves("Replaced", palette.arm_colour(1), series(cut_in(steps=20)), None),
+        plots.Curves("Native", drawing.arm_colour(0), series(cut_in(steps=30)), np.full(6, 4.0)),
+        plots.Curves("Replaced", drawing.arm_colour(1), series(cut_in(steps=20)), None),
     ]
 
 
@@ -54,7 +54,7 @@ def test_plots_name_their_axes_with_units_and_mark_plans_and_moments() -> None:
         strokes = re.findall(r'x1="([\d.]+)" y1="222.0" x2="\1" y2="215.0"', plot.svg)
         assert len(strokes) == 6, "a stroke for each plan"
         assert re.findall(r'font-weight="700">(\d)<', plot.svg) == ["1", "2"]
-    assert all(palette.css(curve.colour) in drawn[1].svg for curve in curves())
+    assert all(drawing.css(curve.colour) in drawn[1].svg for curve in curves())
 
 
 def test_plots_are_the_same_twice_and_take_the_page_s_colours() -> None:

@@ -24,8 +24,8 @@ from recast.reporting import (
     write_video,
 )
 from recast.reporting.page import PageAssets
+from recast.reporting.report import angle_label, truth_view
 from recast.reporting.summary import checks
-from recast.reporting.truth import angle_label, truth_view
 from reporting.made_up_rollouts import HOSTILE, cut_in, straight_map
 from support.report_pages import Page
 

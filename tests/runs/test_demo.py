@@ -13,12 +13,12 @@ from typing import Any
 import pytest
 from rich.console import Console
 
+import recast.runs.run as run_module
 from recast.core.errors import InputError
 from recast.reporting.video import read_video
-from recast.runs import demo as demo_module
 from recast.runs.arms import NOISES
 from recast.runs.config import RunConfig
-from recast.runs.demo import DemoSize, decided, demo
+from recast.runs.run import DemoSize, decided, demo
 from recast.runs.sources import drive_log
 from recast.synthetic import make_world
 
@@ -143,8 +143,8 @@ def choose(
                 raise ending
             return ending
 
-        monkeypatch.setattr(demo_module, "_scored", scored)
-        monkeypatch.setattr(demo_module, "prepare", lambda setup: None)  # the drive is short
+        monkeypatch.setattr(run_module, "_scored", scored)
+        monkeypatch.setattr(run_module, "prepare", lambda setup: None)  # the drive is short
         config = RunConfig(track=track, motions=motions, planners=(TINY.planner,), threads=1)
         told = io.StringIO()
         names = decided(log, tmp_path, config, Console(file=told, width=200))

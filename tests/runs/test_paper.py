@@ -8,8 +8,8 @@ import pytest
 
 from recast.core.errors import InputError
 from recast.logs import DrivingLog
-from recast.metrics.scene_level.scores import COLUMNS
-from recast.metrics.scene_level.summary import PUBLISHED
+from recast.metrics.scene_level_images import COLUMNS
+from recast.metrics.scene_level_table import PUBLISHED
 from recast.runs.arms import parse_arms
 from recast.runs.config import resolve_config
 from recast.studies import parse_scenes

@@ -30,7 +30,10 @@ CODE = {
         *("simulation", "planning", "dynamics", "scene", "splats", "synthetic"),
         "runs/rollouts.py",
     ),
-    "scene-level": ("metrics/scene_level", "studies/scene_level", "pretrained"),
+    "scene-level": (
+        *("metrics/scene_level_images.py", "metrics/scene_level_table.py"),
+        *("studies/scene_level_study.py", "studies/scene_level_tasks.py", "pretrained"),
+    ),
     "metrics": ("metrics", "runs/scores.py"),
     "report": ("reporting", "runs/report.py"),
 }

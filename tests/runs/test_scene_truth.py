@@ -21,7 +21,7 @@ from recast.reconstruction import (
 )
 from recast.reconstruction.evaluate import ShiftedScore
 from recast.reconstruction.scores import DepthScore
-from recast.runs.scene import evaluation_table, shift_table, shifted_truth
+from recast.runs.display import evaluation_table, shift_table, shifted_truth
 from recast.synthetic import is_synthetic
 from recast.synthetic.world import World, exposure, make_rig
 from recast.synthetic.write import Oracle, OraclePool

@@ -15,7 +15,7 @@ from recast.core.errors import InputError
 from recast.core.files import folder_name
 from recast.geometry import se3
 from recast.logs import DrivingLog
-from recast.runs.scene import evaluate_and_print
+from recast.runs.display import evaluate_and_print
 from recast.scene import (
     SceneActor,
     SkyMap,

@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from recast.cli.rows.scenarios import list_scenarios, place_scenarios, show_scenarios
+from recast.cli.rows.logs import list_scenarios, place_scenarios, show_scenarios
 from recast.core.errors import InputError
 from recast.logs import write_log
 from recast.logs.hdmap import HdMap
-from recast.reporting.canvas import Canvas, CanvasView
-from recast.reporting.scenario_preview import draw_scenarios, facts_table, notes, scenario_facts
+from recast.reporting.drawing import Canvas, CanvasView
+from recast.reporting.previews import draw_scenarios, facts_table, notes, scenario_facts
 from recast.simulation import MOTIONS, RolloutSetup, prepare
 from support.synthetic_drives import drive
 

@@ -16,7 +16,7 @@ import torch
 from PIL import Image
 
 from recast.cli.main import main
-from recast.metrics.scene_level.scores import load_features
+from recast.metrics.scene_level_images import load_features
 from recast.splats import write_ply
 from support.crops import two_coloured_box
 

@@ -21,8 +21,13 @@ import numpy as np
 
 from recast.geometry import se2
 from recast.planning.simple import arc
-from recast_bridges.alpasim.messages import EGODRIVER_METHODS, message, parse
-from recast_bridges.alpasim.requests import pose_message, read_pose
+from recast_bridges.alpasim.messages import (
+    EGODRIVER_METHODS,
+    message,
+    parse,
+    pose_message,
+    read_pose,
+)
 
 VERSION = "fake-driver-1"
 STEP_US = 100_000

@@ -5,7 +5,7 @@ import torch
 
 from recast.trellis.flow_transformer import SparseStructureFlowConfig, SparseStructureFlowModel
 from recast.trellis.layers import TrellisModel
-from recast.trellis.ss_vae import SparseStructureDecoder, SparseStructureEncoder
+from recast.trellis.vae import SparseStructureDecoder, SparseStructureEncoder
 from support.trellis import golden_config, golden_tensors, official_keys
 
 MODELS: dict[str, type[TrellisModel]] = {

@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from pydantic import ValidationError
 
-from recast.trellis.slat_vae import (
+from recast.trellis.vae import (
     RepresentationConfig,
     hammersley,
     offset_perturbation,

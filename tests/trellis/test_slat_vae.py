@@ -8,14 +8,14 @@ import torch
 from tests.trellis.sparse_samples import one_sample
 from torch import Tensor
 
-from recast.trellis.slat_vae import (
+from recast.trellis.sparse import SparseTensor
+from recast.trellis.vae import (
     SLatEncoder,
     SLatEncoderConfig,
     SLatGaussianDecoder,
     SLatGaussianDecoderConfig,
     SLatTransformer,
 )
-from recast.trellis.sparse import SparseTensor
 from support.trellis import assert_same, golden_config, golden_tensors, half_bound
 
 

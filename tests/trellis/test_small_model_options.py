@@ -6,8 +6,8 @@ import torch
 
 from recast.trellis.checkpoint_sizes import SMALL, new_checkpoint
 from recast.trellis.model_files import build
-from recast.trellis.slat_vae import SLatGaussianDecoder
 from recast.trellis.sparse import SparseTensor
+from recast.trellis.vae import SLatGaussianDecoder
 from support.trellis import golden_config, golden_tensors
 
 

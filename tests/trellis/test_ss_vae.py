@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from recast.trellis.layers import Posterior
-from recast.trellis.ss_vae import (
+from recast.trellis.vae import (
     SparseStructureDecoder,
     SparseStructureDecoderConfig,
     SparseStructureEncoder,

@@ -136,7 +136,7 @@ class ClosedLoop(_Grid):
             store=self.store,
         )
         if self.json:
-            from recast.cli.rows.grids import grid_rows
+            from recast.cli.rows.results import grid_rows
 
             print_json(grid_rows(results))
 
@@ -178,13 +178,9 @@ class SceneLevel(_Grid):
     """Number of bootstrap samples of the intervals of Frechet distances."""
 
     def __call__(self) -> None:
-        from recast.metrics.scene_level.frames import FrameRule
-        from recast.studies.scene_level import (
-            LEVEL_MOTIONS,
-            LevelSettings,
-            NetworkFiles,
-            run_scene_level,
-        )
+        from recast.metrics.scene_level_images import FrameRule
+        from recast.studies.scene_level_study import LevelSettings, run_scene_level
+        from recast.studies.scene_level_tasks import LEVEL_MOTIONS, NetworkFiles
         from recast.weights import located
 
         networks = NetworkFiles(
@@ -213,7 +209,7 @@ class SceneLevel(_Grid):
             store=self.store,
         )
         if self.json:
-            from recast.cli.rows.grids import level_rows
+            from recast.cli.rows.results import level_rows
 
             print_json(level_rows(lines))
 
@@ -251,7 +247,7 @@ class Trust:
             self.grids, self.validate, self.out, console_for(self.json), self.calibration
         )
         if self.json:
-            from recast.cli.rows.grids import trust_rows
+            from recast.cli.rows.results import trust_rows
 
             print_json(trust_rows(found))
 

@@ -81,7 +81,7 @@ class EvalActor:
             )
         console.print(f"wrote {self.out}", markup=False)
         if self.json:
-            from recast.cli.rows.vehicles import actor_rows
+            from recast.cli.rows.results import actor_rows
 
             print_json(actor_rows(evaluation))
             return
@@ -115,7 +115,7 @@ class EvalActor:
             )
         console.print(f"wrote {self.out}", markup=False)
         if self.json:
-            from recast.cli.rows.vehicles import track_rows
+            from recast.cli.rows.results import track_rows
 
             print_json(track_rows(results))
             return
@@ -202,7 +202,7 @@ class EvalGeneration:
             blocks = run_study(settings, self.out, workers=self.workers, progress=progress)
         console.print(f"wrote {self.out}", markup=False)
         if self.json:
-            from recast.cli.rows.vehicles import study_rows
+            from recast.cli.rows.results import study_rows
 
             print_json(study_rows(blocks))
             return

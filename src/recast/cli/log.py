@@ -187,7 +187,7 @@ class ScenarioList:
     json: Annotated[bool, JSON] = False
 
     def __call__(self) -> None:
-        from recast.cli.rows.scenarios import list_scenarios, scenario_rows
+        from recast.cli.rows.logs import list_scenarios, scenario_rows
 
         if self.json:
             print_json(scenario_rows(self.scenarios))
@@ -213,7 +213,7 @@ class ScenarioShow:
     json: Annotated[bool, JSON] = False
 
     def __call__(self) -> None:
-        from recast.cli.rows.scenarios import place_scenarios, placed_rows, show_scenarios
+        from recast.cli.rows.logs import place_scenarios, placed_rows, show_scenarios
 
         placed = place_scenarios(self.log, self.motion, self.track, self.steps)
         show_scenarios(placed, self.out, console_for(self.json))

@@ -182,7 +182,7 @@ class TrellisVerify:
         checks = verify_checkpoint(folder, values=self.values)
         console = console_for(self.json)
         if self.json:
-            from recast.cli.rows.vehicles import check_rows
+            from recast.cli.rows.results import check_rows
 
             print_json(check_rows(checks))
         else:

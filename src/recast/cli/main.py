@@ -22,14 +22,13 @@ import tyro
 from tyro import _errors as refused  # private: pyproject.toml bounds tyro's version
 
 from recast.cli import shared
-from recast.cli.actor import Actor
 from recast.cli.bench import Bench
 from recast.cli.eval import Eval
 from recast.cli.log import Log, Scenario
 from recast.cli.machine import Doctor, Store, Trellis, Weights
 from recast.cli.recar import Recar
 from recast.cli.run import Demo, Report, Run, ViewCommand
-from recast.cli.scene import Scene
+from recast.cli.scene import Actor, Scene
 from recast.cli.shared import line_of
 from recast.core import diagnostics, files
 from recast.core.diagnostics import Diagnostics

@@ -9,9 +9,8 @@ from typing import Annotated, Literal
 import tyro
 
 from recast.cli import shared
-from recast.cli.actor import MAX_VOXELS, SAMPLING_STEPS
 from recast.cli.recar_sets import Ingest, Perturb, RecarCamera, Screen
-from recast.cli.recar_train import RecarTrain
+from recast.cli.scene import MAX_VOXELS, SAMPLING_STEPS
 from recast.cli.shared import JSON, console_for, print_json
 
 
@@ -117,7 +116,7 @@ class RecarTargets:
                 progress=progress,
             )
         if self.json:
-            from recast.cli.rows.vehicles import target_rows
+            from recast.cli.rows.results import target_rows
 
             print_json(target_rows(cache, target_statistics(cache)))
             return
@@ -206,7 +205,7 @@ class Stats:
     def __call__(self) -> None:
         from recast.core.diagnostics import ProgressBar
         from recast.recar import read_set, set_statistics, statistics_table
-        from recast.recar.statistics import write_overview
+        from recast.recar.screening import write_overview
 
         vehicle_set = read_set(self.set)
         console = console_for(self.json)
@@ -214,7 +213,7 @@ class Stats:
             vehicle_set.check_pictures(self.decode, progress)
         statistics = set_statistics(vehicle_set)
         if self.json:
-            from recast.cli.rows.vehicles import set_rows
+            from recast.cli.rows.results import set_rows
 
             print_json(set_rows(statistics))
         else:
@@ -222,6 +221,73 @@ class Stats:
         if self.sheet is not None:
             write_overview(vehicle_set, statistics, self.sheet)
             console.print(f"wrote {self.sheet}", markup=False)
+
+
+@dataclass(frozen=True)
+class RecarTrain:
+    """Train the flows of an image-to-3D model towards pseudo-targets; the same command resumes.
+
+    On several GPUs: torchrun --nproc-per-node 2 -m recast.cli.main recar train ...
+    """
+
+    model: Path
+    """Model folder to start from (published layout), recast-mini (in the package) or trellis
+    (recast weights)."""
+    targets: Path
+    """Cache of pseudo-targets, from `recast recar targets`."""
+    set: Path
+    """Vehicle set with the images, or a folder of training assets."""
+    out: Path
+    """Folder of the new model; the same command resumes."""
+    stage: Annotated[
+        Literal["1", "2", "base", "base-2", "mini-1", "mini-2"] | None,
+        shared.option(
+            "Stage of the paper: 1 (vehicles) or 2 (perturbed images); of the small model: base, "
+            "base-2, mini-1 or mini-2."
+        ),
+    ] = None
+    config: Annotated[
+        Path | None,
+        shared.option(
+            'JSON file with all settings of a stage, or "preset" and the changes; instead of '
+            "--stage."
+        ),
+    ] = None
+    flow: Annotated[
+        tyro.conf.UseAppendAction[tuple[Literal["structure", "latent"], ...]],
+        shared.option(
+            "Flow to train in this process; the model is written after the last flow.", "both"
+        ),
+    ] = ()
+    image_encoder: Annotated[Path | None, shared.IMAGE_ENCODER] = None
+    device: Annotated[str | None, shared.DEVICE] = None
+    tensorboard: bool = False
+    """Also write TensorBoard curves to OUT/tensorboard."""
+
+    def __call__(self) -> None:
+        from rich.console import Console
+
+        from recast.recar.training import StageRequest, train_stage
+        from recast.recar.training_config import chosen_stage
+        from recast.training.loop import Processes
+        from recast.weights import located
+
+        config = chosen_stage(self.stage, self.config)
+        request = StageRequest(
+            config,
+            located("--model", self.model),
+            self.targets,
+            self.set,
+            self.out,
+            located("--image-encoder", self.image_encoder),
+            self.device,
+            self.tensorboard,
+            self.flow,
+        )
+        processes = Processes.started()
+        left = train_stage(request, processes=processes)
+        said = f"{self.out}: {', '.join(left)} still to train" if left else f"wrote {self.out}"
+        Console(quiet=not processes.first).print(said, markup=False, soft_wrap=True)
 
 
 Recar = shared.group(

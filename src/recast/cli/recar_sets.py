@@ -142,7 +142,7 @@ class RecarCamera:
     def __call__(self) -> None:
         from rich.table import Table
 
-        from recast.cli.rows.vehicles import camera_rows
+        from recast.cli.rows.results import camera_rows
         from recast.core.errors import InputError, printable
         from recast.recar.turntable import fit_set, medians, write_fitted
         from recast.recar.vehicle_set import read_set

@@ -65,7 +65,7 @@ class Run:
         )
         run(self.log, self.out, config, console_for(self.json), self.store)
         if self.json:
-            from recast.cli.rows.grids import run_rows
+            from recast.cli.rows.results import run_rows
 
             print_json(run_rows(self.out))
 
@@ -101,7 +101,7 @@ class Demo:
 
     def __call__(self) -> None:
         from recast.actors import DEFAULT_GENERATOR
-        from recast.runs.demo import FULL, QUICK, RUN_FOLDER, demo
+        from recast.runs.run import FULL, QUICK, RUN_FOLDER, demo
 
         out = self.out or Path("runs/demo-quick" if self.quick else "runs/demo")
         demo(
@@ -115,7 +115,7 @@ class Demo:
             self.planner,
         )
         if self.json:
-            from recast.cli.rows.grids import run_rows
+            from recast.cli.rows.results import run_rows
 
             print_json(run_rows(out / RUN_FOLDER))
 

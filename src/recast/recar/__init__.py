@@ -4,7 +4,7 @@ See docs/data.md.
 """
 
 from recast.recar.real_crops import RealVehicle, RealView, holds_real_crops, read_real_crops
-from recast.recar.statistics import SetStatistics, set_statistics, statistics_table
+from recast.recar.screening import SetStatistics, set_statistics, statistics_table
 from recast.recar.synthesis import SynthesisSettings, synthesize_set
 from recast.recar.vehicle_set import (
     HELD_OUT_SHARE,

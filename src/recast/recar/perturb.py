@@ -19,9 +19,14 @@ from recast.core.errors import InputError
 from recast.core.images import draw_text
 from recast.core.records import Record, read_record
 from recast.logs.images import encode
-from recast.recar.perturb_camera import Compression, Defocus, Fog, LowLight, MotionBlur, Resampling
-from recast.recar.perturb_kind import (
+from recast.recar.perturb_camera import (
+    Compression,
+    Defocus,
+    Fog,
+    LowLight,
+    MotionBlur,
     PerturbationKind,
+    Resampling,
     Share,
     find_object,
     premultiplied,

@@ -9,7 +9,7 @@ import numpy as np
 
 from recast.arrays import Image
 from recast.geometry.colour import LUMINANCE, srgb_to_linear
-from recast.recar.perturb_kind import (
+from recast.recar.perturb_camera import (
     Floats,
     ObjectBox,
     PerturbationKind,

@@ -20,8 +20,7 @@ from recast.core.diagnostics import Progress, tell
 from recast.core.errors import InputError, printable
 from recast.core.images import decode_image, rgb
 from recast.core.workers import in_this_process, worker_pool
-from recast.recar.screening import PASSED, ScreenedVehicle
-from recast.recar.statistics import summary_table
+from recast.recar.screening import PASSED, ScreenedVehicle, summary_table
 from recast.recar.target_cache import CACHE_FILE, CacheRecord, TargetCache, TargetRecord
 from recast.recar.target_maker import (
     ModelSource,

@@ -20,8 +20,7 @@ from recast.reporting.inputs import (
     ShowcasePart,
     TruthPart,
 )
-from recast.reporting.report import write_report
-from recast.reporting.truth import truth_parts
+from recast.reporting.report import truth_parts, write_report
 from recast.reporting.video import VideoWriter, read_video, side_by_side, write_video
 
 __all__ = [

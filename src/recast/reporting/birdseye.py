@@ -12,8 +12,8 @@ import numpy as np
 from recast.arrays import Array, Image
 from recast.geometry import boxes
 from recast.logs.hdmap import HdMap
-from recast.reporting import palette
-from recast.reporting.canvas import Canvas, CanvasView, dashed
+from recast.reporting import drawing
+from recast.reporting.drawing import Canvas, CanvasView, dashed
 from recast.reporting.plots import Series, planned_paths, series
 from recast.simulation.rollout import Rollout
 
@@ -55,10 +55,10 @@ class MapLayer:
         rows = np.arange(np.ceil(low[1] / 10) * 10, high[1], 10.0)
         grid = [np.array([[x, low[1]], [x, high[1]]]) for x in columns]
         grid += [np.array([[low[0], y], [high[0], y]]) for y in rows]
-        canvas.lines(grid, palette.GRID)
-        canvas.polygons(self._areas.within(low, high), palette.DRIVABLE)
-        canvas.lines(self._centrelines.within(low, high), palette.CENTRELINE)
-        canvas.lines(self._boundaries.within(low, high), palette.BOUNDARY)
+        canvas.lines(grid, drawing.GRID)
+        canvas.polygons(self._areas.within(low, high), drawing.DRIVABLE)
+        canvas.lines(self._centrelines.within(low, high), drawing.CENTRELINE)
+        canvas.lines(self._boundaries.within(low, high), drawing.BOUNDARY)
 
 
 @dataclass(frozen=True)
@@ -103,8 +103,8 @@ def draw_car(
     canvas: Canvas,
     pose: Array,
     size: Array,
-    colour: palette.Colour,
-    edge: palette.Colour = palette.GROUND,
+    colour: drawing.Colour,
+    edge: drawing.Colour = drawing.GROUND,
     edge_width: int = 1,
 ) -> None:
     """A filled box (length, width) at a pose (3,) of its centre, with a windscreen."""
@@ -114,7 +114,7 @@ def draw_car(
     length, width = size[0] * 0.16, size[1] * 0.78
     ahead = size[0] * 0.20
     centre = pose + np.array([ahead * np.cos(pose[2]), ahead * np.sin(pose[2]), 0.0])
-    canvas.polygon(boxes.bev_corners(centre, length, width), palette.dimmed(colour, 0.35))
+    canvas.polygon(boxes.bev_corners(centre, length, width), drawing.dimmed(colour, 0.35))
     canvas.line(outline, edge, edge_width, closed=True)
 
 
@@ -122,8 +122,8 @@ def draw_scale_bar(canvas: Canvas, metres: float = 10.0, size: int = 17) -> None
     """A bar of `metres` in the lower right corner; letters of `size` pixels."""
     right, y = canvas.view.width - 16.0, canvas.view.height - 1.3 * size
     left = right - metres * canvas.view.scale
-    canvas.line(canvas.view.world([[left, y], [right, y]]), palette.TEXT, 2)
-    canvas.text(((left + right) / 2, y - 5), f"{metres:.0f} m", palette.TEXT, size, "mb")
+    canvas.line(canvas.view.world([[left, y], [right, y]]), drawing.TEXT, 2)
+    canvas.text(((left + right) / 2, y - 5), f"{metres:.0f} m", drawing.TEXT, size, "mb")
 
 
 @dataclass(frozen=True)
@@ -148,31 +148,31 @@ class References:
 
     def draw(self, canvas: Canvas) -> None:
         """Draw the route, and both recorded paths dashed."""
-        canvas.line(self.route, palette.ROUTE, 1)
-        canvas.lines(self.actor, palette.dimmed(palette.ACTOR, 0.45), 1)
-        canvas.lines(self.ego, palette.LOGGED, 1)
+        canvas.line(self.route, drawing.ROUTE, 1)
+        canvas.lines(self.actor, drawing.dimmed(drawing.ACTOR, 0.45), 1)
+        canvas.lines(self.ego, drawing.LOGGED, 1)
 
 
 def draw_plan(canvas: Canvas, plan: Array, dt: float) -> None:
     """Draw a plan (41, 2) with a dot every 0.5 s."""
-    canvas.line(plan, palette.PLAN, 2)
+    canvas.line(plan, drawing.PLAN, 2)
     every = max(1, round(_DOT / dt))
-    canvas.dots(plan[every::every], palette.PLAN, 2.5)
+    canvas.dots(plan[every::every], drawing.PLAN, 2.5)
 
 
 def draw_cars(canvas: Canvas, rollout: Rollout, step: int, touching: bool) -> None:
     """Draw the ego, the ego as recorded, and all controlled actors at a step."""
     log_pose = rollout.log_ego[step, :3].copy()
     log_pose[:2] += rollout.ego_centre_offset * np.array([np.cos(log_pose[2]), np.sin(log_pose[2])])
-    canvas.line(boxes.bev_corners(log_pose, *rollout.ego_size), palette.LOGGED, 1, closed=True)
+    canvas.line(boxes.bev_corners(log_pose, *rollout.ego_size), drawing.LOGGED, 1, closed=True)
     for one in rollout.controlled:
-        colour = palette.dimmed(palette.ACTOR, FURTHER)
-        draw_car(canvas, one.states[step, :3], one.size[:2], colour, palette.GROUND, 1)
+        colour = drawing.dimmed(drawing.ACTOR, FURTHER)
+        draw_car(canvas, one.states[step, :3], one.size[:2], colour, drawing.GROUND, 1)
     for pose, size, colour in (
-        (rollout.actor[step, :3], rollout.actor_size[:2], palette.ACTOR),
-        (rollout.ego_boxes[step], rollout.ego_size, palette.EGO),
+        (rollout.actor[step, :3], rollout.actor_size[:2], drawing.ACTOR),
+        (rollout.ego_boxes[step], rollout.ego_size, drawing.EGO),
     ):
-        edge = palette.COLLISION if touching else palette.GROUND
+        edge = drawing.COLLISION if touching else drawing.GROUND
         draw_car(canvas, pose, size, colour, edge, 3 if touching else 1)
 
 
@@ -180,11 +180,11 @@ def draw_ghosts(canvas: Canvas, rollout: Rollout, step: int, label: str, *, afte
     """Draw outlines of ego and actor with a label; paler if `after` the first contact."""
     strength = 0.5 if after else 0.85
     for pose, size, colour, anchor, side in (
-        (rollout.actor[step, :3], rollout.actor_size[:2], palette.ACTOR, "mb", -1),
-        (rollout.ego_boxes[step], rollout.ego_size, palette.EGO, "mt", 1),
+        (rollout.actor[step, :3], rollout.actor_size[:2], drawing.ACTOR, "mb", -1),
+        (rollout.ego_boxes[step], rollout.ego_size, drawing.EGO, "mt", 1),
     ):
         outline = boxes.bev_corners(pose, *size)
-        colour = palette.dimmed(colour, strength)
+        colour = drawing.dimmed(colour, strength)
         canvas.line(outline, colour, 1, closed=True)
         # Times of the actor stand above its boxes, those of the ego below: they often share a lane.
         rows = canvas.view.pixels(outline)[:, 1]
@@ -196,19 +196,19 @@ def draw_contact_label(canvas: Canvas, rollout: Rollout, step: int, label: str) 
     """Write below the ego of a step, with a line up to it."""
     x, y = canvas.view.pixels(rollout.ego_boxes[step])
     foot = canvas.view.world([[x, y], [x, y + 74]])
-    canvas.line(foot, palette.COLLISION, 1)
-    canvas.text((x, y + 76), label, palette.COLLISION, 22, "mt")
+    canvas.line(foot, drawing.COLLISION, 1)
+    canvas.text((x, y + 76), label, drawing.COLLISION, 22, "mt")
 
 
 def draw_readout(canvas: Canvas, curves: Series, step: int) -> None:
     """Write time, speeds and gap at the top."""
-    gap = ("CONTACT", palette.COLLISION)
+    gap = ("CONTACT", drawing.COLLISION)
     if not curves.contact[step]:
-        gap = (f"gap {curves.gap[step]:.1f} m", palette.TEXT)
+        gap = (f"gap {curves.gap[step]:.1f} m", drawing.TEXT)
     columns = (
-        (16, f"{curves.time[step]:.1f} s", palette.TEXT),
-        (110, f"ego {curves.ego_speed[step]:.1f} m/s", palette.EGO),
-        (290, f"actor {curves.actor_speed[step]:.1f} m/s", palette.ACTOR),
+        (16, f"{curves.time[step]:.1f} s", drawing.TEXT),
+        (110, f"ego {curves.ego_speed[step]:.1f} m/s", drawing.EGO),
+        (290, f"actor {curves.actor_speed[step]:.1f} m/s", drawing.ACTOR),
         (490, *gap),
     )
     for x, text, colour in columns:
@@ -217,20 +217,20 @@ def draw_readout(canvas: Canvas, curves: Series, step: int) -> None:
 
 def draw_legend(canvas: Canvas, rollout: Rollout, has_actor_log: bool, size: int = 17) -> None:
     """Write what the colours mean at the bottom, in letters of `size` pixels."""
-    entries = [("ego", palette.EGO), (f"actor {rollout.track_id}", palette.ACTOR)]
+    entries = [("ego", drawing.EGO), (f"actor {rollout.track_id}", drawing.ACTOR)]
     if rollout.controlled:
         names = ", ".join(one.track_id for one in rollout.controlled)
-        entries.append((f"further {names}"[:40], palette.dimmed(palette.ACTOR, FURTHER)))
+        entries.append((f"further {names}"[:40], drawing.dimmed(drawing.ACTOR, FURTHER)))
     if len(rollout.plan_steps):
-        entries.append(("plan", palette.PLAN))
-    entries.append(("ego as recorded", palette.LOGGED))
+        entries.append(("plan", drawing.PLAN))
+    entries.append(("ego as recorded", drawing.LOGGED))
     if has_actor_log:
-        entries.append(("actor as recorded", palette.dimmed(palette.ACTOR, 0.45)))
+        entries.append(("actor as recorded", drawing.dimmed(drawing.ACTOR, 0.45)))
     x, y = 14.0, canvas.view.height - 1.3 * size
     for name, colour in entries:
         canvas.line(canvas.view.world([[x, y], [x + 1.2 * size, y]]), colour, 3)
         x += 1.2 * size + 8
-        x += canvas.text((x, y), name, palette.TEXT, size, "lm") + 1.2 * size
+        x += canvas.text((x, y), name, drawing.TEXT, size, "lm") + 1.2 * size
 
 
 _EGO_AT = 0.28  # share of the film's width behind the ego
@@ -272,7 +272,7 @@ class Birdseye:
         self._heading = _main_direction(rollout)
 
     def frame(
-        self, step: int, style: BirdseyeStyle, others: Sequence[tuple[Array, palette.Colour]] = ()
+        self, step: int, style: BirdseyeStyle, others: Sequence[tuple[Array, drawing.Colour]] = ()
     ) -> Image:
         """Draw one state, the ego at the left and the route's direction to the right.
 
@@ -299,10 +299,10 @@ class Birdseye:
         current = np.searchsorted(rollout.plan_steps, step, side="right") - 1
         if current >= 0:
             draw_plan(canvas, self.plans[current], rollout.dt)
-        canvas.line(rollout.ego_boxes[: step + 1, :2], palette.dimmed(palette.EGO, 0.7), 2)
-        canvas.line(rollout.actor[: step + 1, :2], palette.dimmed(palette.ACTOR, 0.7), 2)
+        canvas.line(rollout.ego_boxes[: step + 1, :2], drawing.dimmed(drawing.EGO, 0.7), 2)
+        canvas.line(rollout.actor[: step + 1, :2], drawing.dimmed(drawing.ACTOR, 0.7), 2)
         for one in rollout.controlled:
-            canvas.line(one.states[: step + 1, :2], palette.dimmed(palette.ACTOR, 0.4), 2)
+            canvas.line(one.states[: step + 1, :2], drawing.dimmed(drawing.ACTOR, 0.4), 2)
         for pose, colour in others:
             canvas.line(boxes.bev_corners(pose, *rollout.ego_size), colour, 3, closed=True)
         draw_cars(canvas, rollout, step, touching=bool(self.curves.contact[step]))
@@ -323,16 +323,16 @@ class Birdseye:
         self.layer.draw(canvas)
         self._references.draw(canvas)
         for plan in self.plans:
-            canvas.line(plan, palette.dimmed(palette.PLAN, 0.55), 1)
+            canvas.line(plan, drawing.dimmed(drawing.PLAN, 0.55), 1)
         hit = curves.collision_step
         last = len(rollout.ego) - 1 if hit is None else hit
-        further = palette.dimmed(palette.ACTOR, FURTHER)
+        further = drawing.dimmed(drawing.ACTOR, FURTHER)
         for path, colour in (
             *((one.states[:, :2], further) for one in rollout.controlled),
-            (rollout.ego_boxes[:, :2], palette.EGO),
-            (rollout.actor[:, :2], palette.ACTOR),
+            (rollout.ego_boxes[:, :2], drawing.EGO),
+            (rollout.actor[:, :2], drawing.ACTOR),
         ):
-            canvas.line(path[last:], palette.dimmed(colour, 0.5), 2)
+            canvas.line(path[last:], drawing.dimmed(colour, 0.5), 2)
             canvas.line(path[: last + 1], colour, 2)
         every = max(1, round(_STAMP / rollout.dt))
         for step in range(0, len(rollout.ego), every):

@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 
 from recast.core.errors import InputError
 from recast.metrics.driving import CAP
-from recast.reporting import palette
+from recast.reporting import drawing
 from recast.reporting.birdseye import Birdseye, BirdseyeStyle
-from recast.reporting.canvas import at_width
+from recast.reporting.drawing import at_width
 from recast.reporting.inputs import NotMade, ReportInputs, RolloutPart
 from recast.reporting.page import Media, PageAssets
 from recast.reporting.plots import first_true, planned_paths, series
@@ -310,11 +310,11 @@ def _style(rollouts: Sequence[object], step: int) -> BirdseyeStyle:
 
 def _others(
     run: ReportInputs, drawn: Mapping[str, Birdseye], arm: str, step: int
-) -> list[tuple[NDArray[np.float64], palette.Colour]]:
+) -> list[tuple[NDArray[np.float64], drawing.Colour]]:
     """Egos of other arms that are elsewhere, in the colours of their arms."""
     order, here = list(run.arms), drawn[arm].rollout.ego[step, :2]
     return [
-        (one.rollout.ego_boxes[step], palette.arm_colour(order.index(other)))
+        (one.rollout.ego_boxes[step], drawing.arm_colour(order.index(other)))
         for other, one in drawn.items()
         if other != arm
         and step <= one.rollout.steps_run

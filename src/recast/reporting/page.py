@@ -21,7 +21,7 @@ from recast.core import files
 from recast.core.errors import InputError
 from recast.core.files import atomic_folder, disk_errors, write_text
 from recast.core.images import decode_image, eight_bits, opened
-from recast.reporting import palette, tables
+from recast.reporting import drawing, tables
 from recast.reporting.inputs import NotMade, Picture
 from recast.reporting.summary import coverage_note
 from recast.reporting.video import iterate_video, side_by_side, write_video
@@ -222,7 +222,7 @@ def render_template(name: str, **values: object) -> str:
         lstrip_blocks=True,
     )
     environment.tests["missing"] = lambda value: isinstance(value, NotMade)
-    environment.filters["arm_colour"] = lambda i: palette.css(palette.arm_colour(i))
+    environment.filters["arm_colour"] = lambda i: drawing.css(drawing.arm_colour(i))
     environment.filters["coverage_note"] = coverage_note
     loader = environment.loader
     assert loader is not None
@@ -231,7 +231,7 @@ def render_template(name: str, **values: object) -> str:
         return Markup(loader.get_source(environment, file)[0])
 
     environment.globals.update(
-        share_colours={name: palette.css(colour) for name, colour in palette.SHARES.items()},
+        share_colours={name: drawing.css(colour) for name, colour in drawing.SHARES.items()},
         zip=zip,
         markup=Markup,
         inline=inline,

@@ -19,7 +19,7 @@ from recast.dynamics.tracker import PLAN_LIMITS
 from recast.geometry import boxes, se2
 from recast.metrics.driving import CAP, TOUCHING
 from recast.metrics.trust import Reliability
-from recast.reporting import palette
+from recast.reporting import drawing
 from recast.simulation.rollout import Rollout
 from recast.simulation.scene_renderer import RolloutCoverage
 
@@ -266,7 +266,7 @@ class Curves:
     """
 
     label: str
-    colour: palette.Colour
+    colour: drawing.Colour
     series: Series
     ttc: Array | None
 
@@ -305,11 +305,11 @@ def coverage_plot(arm: str, coverage: RolloutCoverage, dt: float, end: float) ->
     all_steps = sorted({image.step for image in coverage.images})
     width = dt * float(np.diff(all_steps).min()) if len(all_steps) > 1 else end
     below = np.zeros(len(steps))
-    for column, colour in zip(shares.T, palette.SHARES.values(), strict=True):
+    for column, colour in zip(shares.T, drawing.SHARES.values(), strict=True):
         above = below + 100 * column
-        figure.bars(steps * dt, width, below, above, palette.css(colour))
+        figure.bars(steps * dt, width, below, above, drawing.css(colour))
         below = above
-    told = ", ".join(f"{key} {getattr(coverage.mean, key):.0%}" for key in palette.SHARES)
+    told = ", ".join(f"{key} {getattr(coverage.mean, key):.0%}" for key in drawing.SHARES)
     return figure.plot(f"Visible part of the {arm}", f"over all images: {told}")
 
 
@@ -324,7 +324,7 @@ def _ttc(arms: Sequence[Curves], longest: Series) -> _Drawn:
     for arm, width in _with_widths(arms):
         if arm.ttc is None or len(arm.ttc) == 0:
             continue
-        colour = palette.css(arm.colour)
+        colour = drawing.css(arm.colour)
         figure.line(arm.series.plan_time, arm.ttc, colour, width)
         figure.dots(arm.series.plan_time, arm.ttc, colour, width / 2 + 2.2)
         told.append(f"{arm.label}: least {arm.ttc.min():.1f} s")
@@ -335,8 +335,8 @@ def _speed(arms: Sequence[Curves], longest: Series) -> _Drawn:
     speeds = [longest.actor_speed, longest.log_ego_speed, *(m.series.ego_speed for m in arms)]
     figure = _from_zero(longest, max(float(values.max()) for values in speeds), "speed [m/s]")
     for arm, width in _with_widths(arms):
-        figure.line(arm.series.time, arm.series.ego_speed, palette.css(arm.colour), width)
-    figure.line(longest.time, longest.actor_speed, palette.css(palette.ACTOR), 2)
+        figure.line(arm.series.time, arm.series.ego_speed, drawing.css(arm.colour), width)
+    figure.line(longest.time, longest.actor_speed, drawing.css(drawing.ACTOR), 2)
     figure.line(longest.time, longest.log_ego_speed, INK, 1.4, "2 4")
     alt = "; ".join(
         f"ego with {m.label}: {m.series.ego_speed[0]:.1f} m/s at the start, "
@@ -349,11 +349,11 @@ def _speed(arms: Sequence[Curves], longest: Series) -> _Drawn:
 def _gap(arms: Sequence[Curves], longest: Series) -> _Drawn:
     figure = _from_zero(longest, max(float(m.series.gap.max()) for m in arms), "gap [m]")
     for arm, width in _with_widths(arms):
-        figure.line(arm.series.time, arm.series.gap, palette.css(arm.colour), width)
+        figure.line(arm.series.time, arm.series.gap, drawing.css(arm.colour), width)
     for arm in arms:
         hit = arm.series.collision_step
         if hit is not None:
-            figure.cross(float(arm.series.time[hit]), 0.0, palette.css(arm.colour))
+            figure.cross(float(arm.series.time[hit]), 0.0, drawing.css(arm.colour))
     alt = "; ".join(
         f"{m.label}: smallest gap {m.series.gap.min():.1f} m"
         + ("" if m.series.collision_step is None else ", contact (marked with a cross)")
@@ -374,7 +374,7 @@ def _acceleration(arms: Sequence[Curves], longest: Series) -> _Drawn:
     figure.level(low, f"comfort: {low:g}")
     figure.level(high, f"comfort: {high:g}")
     for arm, width in _with_widths(arms):
-        figure.line(arm.series.time, arm.series.acceleration, palette.css(arm.colour), width)
+        figure.line(arm.series.time, arm.series.acceleration, drawing.css(arm.colour), width)
     alt = "; ".join(
         f"{m.label}: between {m.series.acceleration.min():.1f} and "
         f"{m.series.acceleration.max():.1f} m/s²"
@@ -406,7 +406,7 @@ def reliability_svg(found: Reliability) -> str:
     """A dot for each bin, at its mean trust and the share that agrees; on the diagonal at best."""
     figure = Figure(1.0, 0.0, 1.0, "share that agrees with the truth", "trust", every=0.2)
     figure.line([0.0, 1.0], [0.0, 1.0], INK, 1.2, "5 4")
-    colour = palette.css(palette.arm_colour(0))
+    colour = drawing.css(drawing.arm_colour(0))
     bins = [(b.trust, b.agreeing, b.count) for b in found.bins]
     shown = [(t, a, n) for t, a, n in bins if t is not None and a is not None]
     figure.line([t for t, _, _ in shown], [a for _, a, _ in shown], colour)

@@ -45,7 +45,7 @@ from recast.logs import DrivingLog
 from recast.metrics import evaluate_oracle_views
 from recast.reconstruction import SceneConfig
 from recast.reconstruction.views import is_held_out
-from recast.reporting.actor_sheet import draw_actor_sheet, turntable_frames
+from recast.reporting.previews import draw_actor_sheet, turntable_frames
 from recast.reporting.video import write_video
 from recast.runs.display import SamplingProgress, truth_table
 from recast.runs.run_folder import (

@@ -29,9 +29,8 @@ from recast.runs.actor import (
     make_actor,
     refine_actor,
 )
-from recast.runs.display import SamplingProgress, print_actor
+from recast.runs.display import SamplingProgress, TrainingDisplay, evaluation_table, print_actor
 from recast.runs.run_folder import ACTOR_FOLDER, LOG_FOLDER, TURNTABLE_FILE
-from recast.runs.scene import TrainingDisplay, evaluation_table
 from recast.runs.sources import RECIPES, SourceLog, drive_log
 from recast.scene import load_scene
 from recast.synthetic import World, world_metadata

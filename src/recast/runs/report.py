@@ -39,8 +39,8 @@ from recast.reporting import (
     write_comparison,
     write_report,
 )
-from recast.reporting.actor_sheet import draw_all_around
 from recast.reporting.page import check_out
+from recast.reporting.previews import draw_all_around
 from recast.reporting.tables import depth_facts, score_lines
 from recast.runs.arms import Arm, truth_of
 from recast.runs.config import RunConfig

@@ -46,7 +46,7 @@ from recast.metrics.actor_scores import (
 from recast.metrics.perceptual import ImageDistance
 from recast.metrics.table import rounded
 from recast.reconstruction.config import SceneConfig
-from recast.reporting.canvas import at_width
+from recast.reporting.drawing import at_width
 from recast.runs.actor import ActorMakers, StageProgress, make_actor, refine_actor
 from recast.runs.run_folder import ACTOR_FOLDER
 from recast.scene import StreetScene

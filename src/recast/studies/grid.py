@@ -17,7 +17,7 @@ from recast.core import files, folder_hash
 from recast.core.errors import InputError, require_range
 from recast.core.files import folder_name
 from recast.logs import DrivingLog, read_log
-from recast.metrics.scene_level.frames import FrameRule, logged_frames
+from recast.metrics.scene_level_images import FrameRule, logged_frames
 from recast.metrics.table import (
     COLUMNS,
     MOST_EXACT,

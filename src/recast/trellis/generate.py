@@ -22,7 +22,7 @@ from recast.trellis.checkpoints import Checkpoint, load_checkpoint
 from recast.trellis.conditioning import crop_to_object, images_from_crops
 from recast.trellis.sampler import Condition, MultiImageMode, SamplerSettings, StepRecord, sample
 from recast.trellis.sparse import SparseTensor
-from recast.trellis.ss_vae import occupied_voxels
+from recast.trellis.vae import occupied_voxels
 from recast.weights import shipped_folder
 
 TRAINED_VOXEL_SHARE = 8

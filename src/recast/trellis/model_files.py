@@ -35,8 +35,12 @@ from recast.trellis.dinov2 import Dinov2Encoder
 from recast.trellis.flow_transformer import SLatFlowModel, SparseStructureFlowModel
 from recast.trellis.layers import TrellisModel
 from recast.trellis.sampler import SamplerSettings
-from recast.trellis.slat_vae import SLatEncoder, SLatGaussianDecoder
-from recast.trellis.ss_vae import SparseStructureDecoder, SparseStructureEncoder
+from recast.trellis.vae import (
+    SLatEncoder,
+    SLatGaussianDecoder,
+    SparseStructureDecoder,
+    SparseStructureEncoder,
+)
 
 STRUCTURE_FLOW = "sparse_structure_flow_model"
 STRUCTURE_DECODER = "sparse_structure_decoder"

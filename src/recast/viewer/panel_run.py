@@ -22,7 +22,7 @@ from recast.core.files import folder_name
 from recast.dynamics import EgoState
 from recast.geometry import se3
 from recast.logs import DrivingLog
-from recast.reporting import palette
+from recast.reporting import drawing
 from recast.simulation import (
     PreparedRollout,
     RolloutSetup,
@@ -200,7 +200,7 @@ class RunPanel:
         self._said = gui.add_markdown("")
         self._folder = gui.add_folder("Numbers")
         self._lines = server.scene.add_line_segments(
-            _PATH, _ANY_LINE, palette.ACTOR, thickness=0.08, visible=False
+            _PATH, _ANY_LINE, drawing.ACTOR, thickness=0.08, visible=False
         )
         self._gizmo = server.scene.add_transform_controls(
             _START,

@@ -22,7 +22,7 @@ from recast.arrays import Array, Float32Array
 from recast.geometry import se3
 from recast.logs import HdMap
 from recast.logs.hdmap import drivable_region
-from recast.reporting.palette import SHARES
+from recast.reporting.drawing import SHARES
 from recast.scene import StreetScene
 from recast.scene.sky import SkyMap
 from recast.splats import Gaussians

@@ -11,7 +11,7 @@ import numpy as np
 
 from recast.arrays import Array
 from recast.geometry import boxes, se3
-from recast.reporting import palette
+from recast.reporting import drawing
 from recast.viewer.drives import ViewedDrive, ViewInputs
 from recast.viewer.splat_nodes import SplatNodes, drivable_mesh, lane_lines, raised, segments
 
@@ -136,8 +136,8 @@ class ViewerStage:
             return
         boundaries, centrelines = lane_lines(hdmap)
         for name, lines, colour in (
-            ("/map/boundaries", boundaries, palette.BOUNDARY),
-            ("/map/centrelines", centrelines, palette.ROUTE),
+            ("/map/boundaries", boundaries, drawing.BOUNDARY),
+            ("/map/centrelines", centrelines, drawing.ROUTE),
         ):
             self._nodes[name] = scene.add_line_segments(
                 name, lines.astype(np.float32), colour, thickness=_LINE, visible=False
@@ -148,7 +148,7 @@ class ViewerStage:
                 "/map/drivable",
                 vertices.astype(np.float32),
                 faces.astype(np.uint32),
-                color=palette.DRIVABLE,
+                color=drawing.DRIVABLE,
                 opacity=0.6,
                 side="double",
                 cast_shadow=False,
@@ -176,7 +176,7 @@ class ViewerStage:
         name = f"/boxes/{'controlled' if controlled else 'logged'}/{track.encode().hex()}"
         if name in self._nodes:
             return name
-        colour = palette.ACTOR if controlled else palette.LOGGED
+        colour = drawing.ACTOR if controlled else drawing.LOGGED
         # Faces would hide the splats within, so only lines are drawn; clicks hit the faces still.
         self._nodes[name] = box = self._server.scene.add_box(
             name,
@@ -194,7 +194,7 @@ class ViewerStage:
             box.on_click(lambda _: clicked(track))
         return name
 
-    def _outline(self, name: str, size: Array, colour: palette.Colour) -> None:
+    def _outline(self, name: str, size: Array, colour: drawing.Colour) -> None:
         edges = boxes.corners(size)[np.array(boxes.EDGES)].astype(np.float32)
         self._server.scene.add_line_segments(name, edges, colour, thickness=0.03)
 
@@ -205,16 +205,16 @@ class ViewerStage:
                 self._nodes["/ego/box"] = self._server.scene.add_frame(
                     "/ego/box", show_axes=False, visible=False
                 )
-                self._outline("/ego/box/edges", drive.ego_size, palette.EGO)
+                self._outline("/ego/box/edges", drive.ego_size, drawing.EGO)
             ahead = np.eye(4)
             ahead[:3, 3] = drive.ego_offset, 0.0, drive.ego_size[2] / 2
             seen["/ego/box"] = rig @ ahead
             if self._path != (shown.scenario, shown.arm):
                 self._path = shown.scenario, shown.arm
                 assert drive.rig is not None
-                self._line("/ego/path", raised(drive.rig[:, :3, 3]), palette.EGO)
+                self._line("/ego/path", raised(drive.rig[:, :3, 3]), drawing.EGO)
                 if drive.logged is not None:
-                    self._line("/ego/logged", drive.logged, palette.LOGGED)
+                    self._line("/ego/logged", drive.logged, drawing.LOGGED)
             seen["/ego/path"] = None
             if drive.logged is not None:
                 seen["/ego/logged"] = None
@@ -222,12 +222,12 @@ class ViewerStage:
         if "plans" in self.layers and made:
             if self._plan != (shown.scenario, shown.arm, made[-1]):
                 self._plan = shown.scenario, shown.arm, made[-1]
-                self._line("/ego/plan", drive.plans[made[-1]][1], palette.PLAN, 0.12)
+                self._line("/ego/plan", drive.plans[made[-1]][1], drawing.PLAN, 0.12)
             seen["/ego/plan"] = None
         return seen
 
     def _line(
-        self, name: str, points: Array, colour: palette.Colour, thickness: float = _LINE
+        self, name: str, points: Array, colour: drawing.Colour, thickness: float = _LINE
     ) -> None:
         lines = segments([points]).astype(np.float32)
         if name in self._nodes:
@@ -252,7 +252,7 @@ class ViewerStage:
                     mount.fov,
                     mount.aspect,
                     scale=_FRUSTUM,
-                    color=palette.TEXT,
+                    color=drawing.TEXT,
                     image=image,
                     format="jpeg",
                     jpeg_quality=75,

@@ -36,8 +36,7 @@ from recast.simulation import (
     run_rollout,
 )
 from recast_bridges.alpasim.driver import AlpaSimDriver, driver_planner
-from recast_bridges.alpasim.messages import message
-from recast_bridges.alpasim.requests import as_sent
+from recast_bridges.alpasim.messages import as_sent, message
 from support.driven import Noise, planner_of, setup_of
 from support.fake_driver import VERSION, FakeDriver, driving, follow
 from support.synthetic_drives import drive

@@ -22,8 +22,7 @@ from recast.simulation import (
     run_rollout,
 )
 from recast_bridges.alpasim.driver import DrivenPlan
-from recast_bridges.alpasim.messages import message, parse
-from recast_bridges.alpasim.requests import pose_message
+from recast_bridges.alpasim.messages import message, parse, pose_message
 from support.driven import attempt, failure_of, planner_of, setup_of
 from support.fake_driver import FakeDriver, driving, follow
 

@@ -25,7 +25,7 @@ from recast.simulation import (
 from recast_bridges.alpasim import driver_session as module
 from recast_bridges.alpasim.client import ServiceClient
 from recast_bridges.alpasim.driver import AlpaSimDriver
-from recast_bridges.alpasim.requests import pose_message, read_pose
+from recast_bridges.alpasim.messages import pose_message, read_pose
 from support.driven import QUICK, Noise, failure_of, planner_of, setup_of
 from support.fake_driver import FakeDriver, driving
 from support.tiny_served import MOUNTS, serving

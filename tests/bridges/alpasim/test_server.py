@@ -25,8 +25,13 @@ from recast.simulation import MOTIONS, Rollout, RolloutSetup, SensorRenderer, Si
 from recast.simulation.renderer import MountedRenderer
 from recast.simulation.scene_renderer import SceneRenderer, draw_image, through_lenses
 from recast_bridges.alpasim.client import SensorsimClient, SensorsimRenderer
-from recast_bridges.alpasim.messages import CHANNEL_OPTIONS, SENSORSIM_SERVICES, message, parse
-from recast_bridges.alpasim.requests import as_sent
+from recast_bridges.alpasim.messages import (
+    CHANNEL_OPTIONS,
+    SENSORSIM_SERVICES,
+    as_sent,
+    message,
+    parse,
+)
 from recast_bridges.alpasim.server import VERSION_ID
 from recast_bridges.rendering import ScenePainter
 from support.tiny_served import MOUNTS, MOVING, SCENE, make_log, make_scene, served, serving

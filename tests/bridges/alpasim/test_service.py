@@ -17,10 +17,11 @@ from recast.cameras.lenses import fisheye_lens
 from recast.geometry import se3
 from recast.scene.street_scene import SceneRasterizer
 from recast.simulation.scene_renderer import draw_image
-from recast_bridges.alpasim.messages import message, parse
-from recast_bridges.alpasim.requests import (
+from recast_bridges.alpasim.messages import (
     as_sent,
     camera_message,
+    message,
+    parse,
     pose_message,
     pose_pair,
     read_camera,
@@ -357,7 +358,7 @@ def test_damaged_requests_are_drawn_or_refused(changes: list[tuple[int, int]]) -
     for place, value in changes:
         data[place % len(data)] = value
     with pytest.MonkeyPatch.context() as patch, suppress(RefusedError):
-        patch.setattr("recast_bridges.alpasim.requests.MOST_PIXELS", 4096)  # else it takes long
+        patch.setattr("recast_bridges.alpasim.messages.MOST_PIXELS", 4096)  # else it takes long
         SERVICE.answer("render_rgb", bytes(data))
 
 

@@ -12,8 +12,8 @@ import torch
 
 from recast.core.errors import InputError
 from recast.core.torch_file import read_torch_file
-from recast_bridges.scenes import pickled
-from recast_bridges.scenes.pickled import PickledArray, PickledQuaternion, read_pickle
+from recast_bridges.scenes import checkpoint
+from recast_bridges.scenes.checkpoint import PickledArray, PickledQuaternion, read_pickle
 
 ARRAYS = {
     "turned": np.arange(6.0).reshape(2, 3).T,
@@ -111,7 +111,7 @@ def test_what_is_not_there_takes_no_memory(tmp_path: Path, data: bytes, line: st
 
 
 def test_large_pickles_are_not_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("recast_bridges.scenes.pickled.LARGEST", 100)
+    monkeypatch.setattr("recast_bridges.scenes.checkpoint.LARGEST", 100)
     assert read(tmp_path, pickle.dumps(b"1" * 50)) == b"1" * 50
     with pytest.raises(InputError, match="100 are read at most"):
         read(tmp_path, pickle.dumps(b"1" * 101))
@@ -129,7 +129,7 @@ def test_checkpoints_hold_arrays_where_they_may(tmp_path: Path) -> None:
     path = tmp_path / "x.ckpt"
     before = set(torch.serialization.get_safe_globals())
     torch.save({"shift": ARRAYS["turned"], "scale": np.float64(2.5), "t": torch.ones(2)}, path)
-    found = read_torch_file(path, "mend it", safe=pickled.ARRAYS)
+    found = read_torch_file(path, "mend it", safe=checkpoint.ARRAYS)
     assert isinstance(found["shift"], PickledArray) and found["scale"] == 2.5
     assert np.array_equal(found["shift"].value, ARRAYS["turned"])
     assert set(torch.serialization.get_safe_globals()) == before
@@ -141,5 +141,5 @@ def test_calls_in_checkpoints_are_refused_where_arrays_are_read(tmp_path: Path) 
     path, ran = tmp_path / "x.ckpt", tmp_path / "ran"
     torch.save({"shift": ARRAYS["turned"], "x": Hostile(os.mkdir, str(ran))}, path)
     with pytest.raises(InputError, match="mkdir, which is not a tensor"):
-        read_torch_file(path, "mend it", safe=pickled.ARRAYS)
+        read_torch_file(path, "mend it", safe=checkpoint.ARRAYS)
     assert not ran.exists()

@@ -10,7 +10,7 @@ import pytest
 from recast.geometry import se2
 from recast.logs.hdmap import HdMap
 from recast.simulation.rollout import ControlledActor
-from recast_bridges.scores.alpasim import alpasim_scene_score, off_road
+from recast_bridges.scores.simulators import alpasim_scene_score, off_road
 from support.made_up_rollouts import make_rollout, moved_map, moved_rollout, street
 from support.straight_road import hd_road
 

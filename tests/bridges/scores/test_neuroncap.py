@@ -7,7 +7,7 @@ import pytest
 
 from recast.geometry import se2
 from recast.simulation.rollout import ControlledActor
-from recast_bridges.scores.neuroncap import neuroncap_mean, neuroncap_score
+from recast_bridges.scores.simulators import neuroncap_mean, neuroncap_score
 from support.made_up_rollouts import make_rollout
 
 

@@ -17,8 +17,7 @@ from recast.core.errors import InputError
 from recast.core.files import parse_json, read_bytes, write_json
 from recast.weights.fetch import list_source
 from recast.weights.table import Licence, WeightsSource
-from recast_bridges.alpasim.messages import message
-from recast_bridges.alpasim.requests import camera_message, pose_pair
+from recast_bridges.alpasim.messages import camera_message, message, pose_pair
 from recast_bridges.alpasim.server import SensorsimService
 from recast_bridges.neuroncap.service import NcapService
 from recast_bridges.rendering import ScenePainter

@@ -11,7 +11,7 @@ from recast.cameras import PinholeCamera
 from recast.core.errors import InputError
 from recast.geometry import boxes
 from recast.logs import DrivingLog
-from recast.metrics.scene_level.frames import (
+from recast.metrics.scene_level_images import (
     FrameRule,
     LoggedFrame,
     RolloutFrame,

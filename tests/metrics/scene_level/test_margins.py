@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from recast.metrics.scene_level.scores import (
+from recast.metrics.scene_level_images import (
     NEGATIVE,
     POSITIVE,
     VEHICLE,

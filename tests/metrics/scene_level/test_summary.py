@@ -10,16 +10,17 @@ import numpy as np
 import pytest
 
 from recast.core.errors import InputError
-from recast.metrics.scene_level.frames import LoggedFrame, RolloutFrame
-from recast.metrics.scene_level.scores import (
+from recast.metrics.scene_level_images import (
     Features,
+    LoggedFrame,
     Networks,
+    RolloutFrame,
     SeenImage,
     image_scores,
     load_features,
     save_features,
 )
-from recast.metrics.scene_level.summary import (
+from recast.metrics.scene_level_table import (
     LevelRow,
     MeasuredScene,
     summarise,

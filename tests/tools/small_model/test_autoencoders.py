@@ -33,7 +33,7 @@ def assets(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="module")
 def parts(assets: Path, tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
     """Trained for a few steps, with the losses on the way."""
-    from recast.trellis.ss_vae import SparseStructureEncoder
+    from recast.trellis.vae import SparseStructureEncoder
     from recast_tools.small_model import recipe
 
     out = tmp_path_factory.mktemp("parts")

@@ -21,19 +21,17 @@ from recast.simulation.rollout import SimState
 from recast_bridges.alpasim.messages import (
     CHANNEL_OPTIONS,
     DEADLINE,
+    JPEG,
+    JPEG_QUALITY,
     PAUSES,
+    PLANAR,
+    PNG,
     SENSORSIM_METHODS,
     SENSORSIM_SERVICES,
     Methods,
+    camera_message,
     message,
     parse,
-)
-from recast_bridges.alpasim.requests import (
-    JPEG,
-    JPEG_QUALITY,
-    PLANAR,
-    PNG,
-    camera_message,
     pose_pair,
 )
 
@@ -186,7 +184,7 @@ class SensorsimClient(ServiceClient):
             raise InputError(self.address, f"scene {scene_id}", "is not served", mend)
 
     def cameras(self, scene_id: str) -> tuple[Any, ...]:
-        """The messages AvailableCamera of a scene; see `recast_bridges.alpasim.requests`."""
+        """The messages AvailableCamera of a scene; see `recast_bridges.alpasim.messages`."""
         request = message("AvailableCamerasRequest", scene_id=scene_id)
         return tuple(self.call("get_available_cameras", request).available_cameras)
 

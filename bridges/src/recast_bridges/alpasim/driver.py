@@ -19,8 +19,7 @@ from recast.logs.checks import LATEST_US
 from recast.planning import WAYPOINTS, BasePlanner, LogReplay, Plan, PlannerInput, PlanningContext
 from recast.planning.cameras import require_cameras
 from recast_bridges.alpasim.driver_session import DriverSession, driver_version
-from recast_bridges.alpasim.messages import DEADLINE, PAUSES
-from recast_bridges.alpasim.requests import JPEG, PNG, read_pose
+from recast_bridges.alpasim.messages import DEADLINE, JPEG, PAUSES, PNG, read_pose
 from recast_bridges.splines import spline_through
 
 _NEAR = 5.0

@@ -26,14 +26,12 @@ from recast_bridges.alpasim.messages import (
     DEADLINE,
     EGODRIVER_METHODS,
     EGODRIVER_SERVICE,
-    PAUSES,
-    message,
-)
-from recast_bridges.alpasim.requests import (
     JPEG_QUALITY,
+    PAUSES,
     RefusedError,
     cameras_message,
     encode,
+    message,
     pose_message,
 )
 
@@ -65,7 +63,7 @@ def image_observation(
     Its frame ends now, and begins a microsecond earlier: frames of no length are none in AlpaSim.
 
     Args:
-        image_format: `recast_bridges.alpasim.requests.JPEG` or `PNG`.
+        image_format: `recast_bridges.alpasim.messages.JPEG` or `PNG`.
 
     Raises:
         RefusedError: no message can hold it.
@@ -171,7 +169,7 @@ class DriverSession(Closing):
         context: planning context of the rollout.
         cameras: name in `PlannerInput.images` by the driver's name.
         seed: sent to the driver.
-        image_format: `recast_bridges.alpasim.requests.JPEG` or `PNG`.
+        image_format: `recast_bridges.alpasim.messages.JPEG` or `PNG`.
         deadline, pauses: see `ServiceClient`.
 
     Raises:

@@ -19,13 +19,16 @@ from recast.core.errors import InputError
 from recast.core.workers import Closing
 from recast_bridges.alpasim.messages import (
     CHANNEL_OPTIONS,
+    FTHETA_CENTRE,
     MOST_BYTES,
     SENSORSIM_METHODS,
     SENSORSIM_SERVICES,
+    cameras_message,
+    encode,
     message,
     parse,
+    read_requests,
 )
-from recast_bridges.alpasim.requests import FTHETA_CENTRE, cameras_message, encode, read_requests
 from recast_bridges.rendering import ScenePainter
 from recast_bridges.requests import RefusedError
 
@@ -57,7 +60,7 @@ class SensorsimService:
 
     Args:
         painter: painter that draws the images.
-        ftheta_centre: see `recast_bridges.alpasim.requests.FTHETA_CENTRE`.
+        ftheta_centre: see `recast_bridges.alpasim.messages.FTHETA_CENTRE`.
     """
 
     def __init__(self, painter: ScenePainter, ftheta_centre: float = FTHETA_CENTRE) -> None:

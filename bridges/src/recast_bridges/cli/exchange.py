@@ -104,7 +104,7 @@ def export_scenarios(
 ) -> tuple[list[Exported], ExportedRoads | None]:
     """Write scenarios and rollouts of a log to a folder. Raises InputError: neither is named; a
     scenario cannot run on the log; a rollout is not of it."""
-    from recast.cli.rows.scenarios import target_of
+    from recast.cli.rows.logs import target_of
     from recast.logs import map_of, read_log
     from recast.simulation import RolloutSetup, load_rollout, parse_motions, scenario_name
     from recast_bridges.openx import export_openx, played_rollout, played_scenario

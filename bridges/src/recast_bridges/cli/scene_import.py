@@ -36,7 +36,7 @@ def _share(dependent: str) -> Any:
     """Help of the time at which colours that depend on time or view are frozen."""
     return shared.required(
         f"Time at which the {dependent}-dependent colours of an actor are frozen, as a fraction "
-        "(0 to 1) of\nits track."
+        "(0 to 1) of its track."
     )
 
 

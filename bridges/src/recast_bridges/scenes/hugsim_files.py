@@ -24,8 +24,14 @@ from recast.geometry import se3
 from recast.logs.checks import WORLD_REACH, refused
 from recast.splats import Gaussians
 from recast.splats.sh import MAX_DEGREE
-from recast_bridges.scenes.checkpoint import CheckpointTable, Names, read_gaussians, read_harmonics
-from recast_bridges.scenes.pickled import ARRAYS, read_pickle
+from recast_bridges.scenes.checkpoint import (
+    ARRAYS,
+    CheckpointTable,
+    Names,
+    read_gaussians,
+    read_harmonics,
+    read_pickle,
+)
 
 FIELDS = (
     *("active_sh_degree", "xyz", "features_dc", "features_rest"),

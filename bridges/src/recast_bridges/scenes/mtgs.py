@@ -37,7 +37,13 @@ from recast_bridges.scenes.actors import (
     find_tracks,
     read_track_names,
 )
-from recast_bridges.scenes.checkpoint import NO_SKY, RESAMPLED, CheckpointTable, read_checkpoint
+from recast_bridges.scenes.checkpoint import (
+    NO_SKY,
+    RESAMPLED,
+    CheckpointTable,
+    read_checkpoint,
+    read_pickle,
+)
 from recast_bridges.scenes.drivestudio import CUBE_FROM_SCENE
 from recast_bridges.scenes.mtgs_nodes import (
     CHECKPOINT,
@@ -55,7 +61,6 @@ from recast_bridges.scenes.mtgs_nodes import (
     read_motion,
     read_shift,
 )
-from recast_bridges.scenes.pickled import read_pickle
 
 FRAMES_FILE = "video_scene_dict.pkl"
 _MEND_FRAMES = "name the checkpoint itself to import it without the recorded frames"

@@ -1,9 +1,15 @@
 """Scores of other benchmarks beside the headline metrics: NAVSIM v2, AlpaSim, NeuroNCAP."""
 
-from recast_bridges.scores.alpasim import SceneScore, alpasim_scene_score, off_road
 from recast_bridges.scores.driven import DrivenEpdms, driven_epdms
 from recast_bridges.scores.idm_traffic import IdmTraffic
-from recast_bridges.scores.neuroncap import NcapScore, neuroncap_mean, neuroncap_score
+from recast_bridges.scores.simulators import (
+    NcapScore,
+    SceneScore,
+    alpasim_scene_score,
+    neuroncap_mean,
+    neuroncap_score,
+    off_road,
+)
 from recast_bridges.scores.two_stage import (
     PlanScore,
     PlanSituation,

@@ -41,8 +41,7 @@ from recast.metrics.actor_scores import (
     photographed,
     score_view,
 )
-from recast.metrics.features import Embedder, load_embedders
-from recast.metrics.perceptual import ImageDistance, load_distances
+from recast.metrics.perceptual import Embedder, ImageDistance, load_distances, load_embedders
 from recast.metrics.table import rounded
 from recast.recar.perturb import PerturbationConfig, perturb
 from recast.splats import Gaussians

@@ -11,8 +11,8 @@ import numpy as np
 from rich.table import Table
 
 from recast.metrics.actor_scores import ACTOR_COLUMNS, ActorColumn, mean_scores
-from recast.metrics.features import FEATURE_KINDS
 from recast.metrics.frechet import frechet_distance
+from recast.metrics.perceptual import FEATURE_KINDS
 from recast.metrics.table import SAMPLES, Bootstrap, cluster_bootstrap, rounded
 from recast.studies.generation.cells import StudyCell
 from recast.studies.generation.rows import PAPER_COLUMNS, PAPER_ROWS

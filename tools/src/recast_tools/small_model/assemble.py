@@ -29,7 +29,7 @@ from recast.trellis.model_files import (
     STRUCTURE_FLOW,
     model_files,
 )
-from recast.trellis.ss_vae import SparseStructureEncoder
+from recast.trellis.vae import SparseStructureEncoder
 from recast_tools.small_model.asset_store import (
     AssetStore,
     ChannelMoments,

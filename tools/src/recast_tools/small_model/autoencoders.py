@@ -16,8 +16,12 @@ from recast.splats import MIP, Gaussians, Rasterization, rasterize
 from recast.training.loop import StepLoss, StepRandom
 from recast.trellis.conditioning import CompactImageEncoder
 from recast.trellis.flow_transformer import SparseStructureFlowModel
-from recast.trellis.slat_vae import SLatEncoder, SLatGaussianDecoder
-from recast.trellis.ss_vae import SparseStructureDecoder, SparseStructureEncoder
+from recast.trellis.vae import (
+    SLatEncoder,
+    SLatGaussianDecoder,
+    SparseStructureDecoder,
+    SparseStructureEncoder,
+)
 from recast_tools.small_model.asset_store import AssetStore, occupancy, voxel_features
 
 

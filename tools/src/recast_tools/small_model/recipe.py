@@ -27,8 +27,12 @@ from recast.trellis.model_files import (
     STRUCTURE_FLOW,
     save_model,
 )
-from recast.trellis.slat_vae import SLatEncoder, SLatGaussianDecoder
-from recast.trellis.ss_vae import SparseStructureDecoder, SparseStructureEncoder
+from recast.trellis.vae import (
+    SLatEncoder,
+    SLatGaussianDecoder,
+    SparseStructureDecoder,
+    SparseStructureEncoder,
+)
 from recast_tools.small_model.asset_store import AssetStore, occupancy, voxel_features
 from recast_tools.small_model.autoencoders import (
     ImageEncoderTask,

@@ -22,15 +22,17 @@ from recast.core.diagnostics import ProgressBar
 from recast.core.errors import printable
 from recast.core.files import folder_name
 from recast.core.images import decode_image, draw_text, rgb
-from recast.metrics.scene_level.frames import RolloutFrame, read_frames, read_references
-from recast.metrics.scene_level.scores import (
+from recast.metrics.scene_level_images import (
     COLUMNS,
     FEATURES_FILE,
     Features,
     Networks,
+    RolloutFrame,
     load_features,
+    read_frames,
+    read_references,
 )
-from recast.metrics.scene_level.summary import (
+from recast.metrics.scene_level_table import (
     LevelRow,
     MeasuredScene,
     cell,
@@ -40,17 +42,17 @@ from recast.metrics.scene_level.summary import (
     warnings,
     write_images,
 )
-from recast.reporting.canvas import at_width
+from recast.reporting.drawing import at_width
 from recast.runs.display import narrow_table
 from recast.runs.run_folder import use_name
 from recast.studies.closed_loop import broken_name, check_grid
 from recast.studies.grid import RESULTS_FILE, begin
-from recast.studies.scene_level.request import LevelSettings
-from recast.studies.scene_level.scene import (
+from recast.studies.scene_level_tasks import (
     FEATURES,
     FRAMES,
     REFERENCES,
     REPLAY,
+    LevelSettings,
     LevelTasks,
     LevelWorker,
     measured,

@@ -20,8 +20,14 @@ from recast.arrays import Array
 from recast.core.errors import InputError
 from recast.core.table_files import write_parquet
 from recast.metrics.frechet import FeatureStats, frechet_between, frechet_bootstrap
-from recast.metrics.scene_level.frames import LoggedFrame, RolloutFrame
-from recast.metrics.scene_level.scores import COLUMNS, IMAGE_SCORES, Features, image_scores
+from recast.metrics.scene_level_images import (
+    COLUMNS,
+    IMAGE_SCORES,
+    Features,
+    LoggedFrame,
+    RolloutFrame,
+    image_scores,
+)
 from recast.metrics.table import cluster_bootstrap, rounded
 
 _LEVEL = 0.95
