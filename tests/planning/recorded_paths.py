@@ -23,10 +23,12 @@ def arc(
     times = np.arange(round(seconds * 10) + 1)
     s = speed * 0.1 * times
     heading = curvature * s
-    if curvature:
-        xy = np.stack([np.sin(heading), 1 - np.cos(heading)], axis=-1) / curvature
-    else:
-        xy = np.stack([s, np.zeros_like(s)], axis=-1)
+    half = heading / 2  # of the chord; 1 - cos would lose the digits of slight curves
+    xy = (
+        s[:, None]
+        * np.sinc(half / np.pi)[:, None]
+        * np.stack([np.cos(half), np.sin(half)], axis=-1)
+    )
     poses = se2.compose(world_from_start, np.concatenate([xy, heading[:, None]], axis=1))
     return Trajectory((START_US + 100_000 * times).astype(np.int64), se2.to_se3(poses))
 
