@@ -1,4 +1,4 @@
-"""Names of numpy array types, which all rooms use."""
+"""Names of numpy array types, which all packages use."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Points evenly over textured triangles, and which of them can be seen from outside.
+"""The generator of meshes: points evenly over textured triangles, those seen from outside, surfels.
 
 A lattice, as in mesh2splat (Electronic Arts, github.com/electronicarts/mesh2splat): every triangle
 is projected along its dominant axis onto a grid of squares that all triangles share, and has a

@@ -1,4 +1,4 @@
-"""Textured triangles, as read from a file, and the files in its folder that it names."""
+"""Textured triangles, the files that a mesh names, and the reader of GLB."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Vehicle sets of `recast recar`: ingest, camera, pack, perturb and screen."""
+"""Vehicle sets of `recast recar`: ingest, camera, perturb and screen."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Files and folders that are there whole or not at all.
+"""Files and folders that are there whole or not at all, and names from outside as names of files.
 
 Everything is written to a temporary name beside its target and renamed, so that a crash, a kill or
 a full disk never leaves something half-written under the final name. While it is written, the

@@ -1,4 +1,4 @@
-"""The NCore V4 stores of a log folder, checked and opened.
+"""The NCore V4 stores of a log folder: written, checked and opened.
 
 The files are foreign, and NCore trusts them. A store is a tar file of zarr arrays with a compressed
 index at its end. Zarr allocates whatever shape is written there, fills in chunks that are missing,

@@ -1,4 +1,4 @@
-"""The trajectory that a driver of AlpaSim answers with, checked, and as waypoints of a plan."""
+"""Drivers of AlpaSim as planners: what they are sent, and their answers, checked, as plans."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""When the frames of a Street Gaussians folder were, where the ego was, and their LiDAR sweeps.
+"""Folders of Street Gaussians as logs: times and places of the frames, LiDAR sweeps, and tracks.
 
 Every image has its own time and ego pose. A whole frame (its boxes and points) has the vehicle's
 pose at the middle of the scan, but timestamps.json gives it the time at which the scan began,

@@ -1,4 +1,4 @@
-"""Images and cameras as NeuroNCAP's messages have them."""
+"""A recast scene as the renderer of NeuroNCAP's engine: its service, images and cameras."""
 
 from __future__ import annotations
 

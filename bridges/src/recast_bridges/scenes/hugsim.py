@@ -1,4 +1,4 @@
-"""Actors of a HUGSIM scene: when they are where, and how their own axes lie."""
+"""Streets of HUGSIM: their actors (times, places, own axes), their import, and a log of them."""
 
 from __future__ import annotations
 

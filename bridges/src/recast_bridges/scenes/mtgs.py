@@ -1,7 +1,8 @@
-"""Frames that an MTGS scene was trained on (`video_scene_dict.pkl`), a pickle read without running.
+"""Streets of MTGS: their checkpoints, the frames that they were trained on, and a log of them.
 
-It is a table of drives, each with `frame_infos`: a list of tables with the time, the ego's pose in
-the coordinates of the scene, cameras and boxes. Only what is used is looked at.
+`video_scene_dict.pkl` is a pickle, read without running it: a table of drives, each with
+`frame_infos`, a list of tables with the time, the ego's pose in the coordinates of the scene,
+cameras and boxes. Only what is used is looked at.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Tracks of a folder that Street Gaussians was trained on, with its learned corrections.
+"""Streets of Street Gaussians: the checkpoint, and the tracks with its learned corrections.
 
 The checkpoint stores corrections by frame and slot. Slots are assigned while the label file is
 read, so the assignment is repeated here, and so is the way in which poses are read out, with its

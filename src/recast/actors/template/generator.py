@@ -1,4 +1,4 @@
-"""Colours from the photographs: which patches they show, and how these look there."""
+"""The template generator, and its colours from the photographs: which patches they show, and how."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Argoverse 2 HD map: the vector map and the ground height raster of a log."""
+"""Argoverse 2 sensor logs: cameras, sweeps and boxes; the vector map and the raster of heights."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""KITTI box labels, of tracking label files and tracklet_labels.xml, to tracks in the world.
+"""KITTI raw drives, with boxes of tracking label files or of tracklet_labels.xml.
 
 Boxes were drawn on sweeps as recorded, smeared by the ego motion of the turn. So a box of frame i
 holds, like the points in it, at the moment at which the scanner pointed there in turn i.

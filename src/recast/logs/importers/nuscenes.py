@@ -1,4 +1,4 @@
-"""Sensors of a nuScenes scene: calibration, images and sweeps, and the ego poses of them all."""
+"""nuScenes scenes: calibration, images, sweeps, ego poses and boxes."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Scenarios of the Waymo Open Motion Dataset: the recorded tracks and the map, no sensors."""
+"""Waymo: segments of the Perception dataset, v1 and v2, and scenarios of the Motion dataset."""
 
 from __future__ import annotations
 
