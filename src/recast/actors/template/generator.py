@@ -1,4 +1,4 @@
-"""The template generator, and its colours from the photographs: which patches they show, and how."""
+"""The template generator; colours from the photographs: which patches they show, and how."""
 
 from __future__ import annotations
 
