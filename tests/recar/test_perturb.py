@@ -89,7 +89,9 @@ def test_effect_grows_with_severity(kind: PerturbationKind, seed: int) -> None:
     effects = [difference(spoil(kind, severity, seed), CAR) for severity in severities]
     for weaker, stronger in pairwise(effects):
         assert stronger >= 0.95 * weaker
-    assert effects[-1] > 1.5 * effects[0] + 0.4  # compression: 0.5 more at least, of 200 seeds
+    # The quietest of 200 seeds adds just 0.5.
+    room = 0.4 if kind.name == "compression" else 0.5
+    assert effects[-1] > 1.5 * effects[0] + room
 
 
 @each_kind

@@ -92,7 +92,7 @@ class Coverage:
 
     @classmethod
     def of(cls, areas: Array) -> Coverage:
-        """Of the areas (3,) in pixels that come from each."""
+        """The coverage of an image from the areas (3,) in pixels that come from each."""
         pixels = float(areas.sum())
         if pixels < LEAST_PIXELS:
             return NOTHING
@@ -100,13 +100,13 @@ class Coverage:
 
     @classmethod
     def mean(cls, several: Iterable[Coverage]) -> Coverage:
-        """Of several images: mean area, and shares of all their area, over those that show it."""
+        """The coverage of several images: mean area, and shares of it, over those that show it."""
         rows = np.array([astuple(one) for one in several if one.pixels > 0]).reshape(-1, 4)
         return NOTHING if len(rows) == 0 else cls.of((rows[:, :1] * rows[:, 1:]).mean(axis=0))
 
 
 NOTHING = Coverage(0.0, 0.0, 0.0, 0.0)
-"""Of an image that does not show the vehicle."""
+"""Coverage of an image that does not show the vehicle."""
 
 
 class CoverageMeter:

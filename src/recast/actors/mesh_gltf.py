@@ -41,7 +41,7 @@ REPEATED: tuple[Wrap, Wrap] = ("REPEAT", "REPEAT")
 MOST_TRIANGLES = 3_000_000
 _FARTHEST = 1e7  # of a vertex from the origin, in the file's unit
 MOST_PIXELS = 1 << 26
-"""Of a texture, as its header says."""
+"""Pixels of a texture, as its header says, at most."""
 MOST_TEXTURES = 32
 _KEPT_EDGE = 2048  # pixels: finer than a vehicle is sampled
 _FORMATS = ("PNG", "JPEG", "WEBP", "BMP", "TGA", "TIFF")

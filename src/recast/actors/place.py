@@ -277,7 +277,7 @@ class _Search:
         return (1 - overlap) / _UNITS[0] + colour / _UNITS[1] + misfit / _UNITS[2]
 
     def best_yaw(self) -> float:
-        """Of the circle in steps of 15 degrees."""
+        """The yaw of least cost, of the circle in steps of 15 degrees."""
         return min((self.start(yaw) for yaw in COARSE_YAWS), key=self.cost).yaw
 
     def finest(self, yaw: float) -> Start:

@@ -191,7 +191,7 @@ class Primitive(GltfPart):
     mode: int = TRIANGLES
     targets: tuple[dict[str, int], ...] = ()
     weights: tuple[float, ...] = ()
-    """Of the targets: those of the mesh or the node, see `placed_primitives`."""
+    """Weights of the targets: those of the mesh or the node, see `placed_primitives`."""
 
 
 class GltfMesh(GltfPart):

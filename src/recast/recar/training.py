@@ -210,7 +210,7 @@ def _check_sizes(
 
 
 def _targets_hash(targets: TargetCache) -> str:
-    """Of what says which targets there are; latents follow from it."""
+    """Hash of what says which targets there are; latents follow from it."""
     folder = targets.folder
     files = [*folder.glob("*.json"), *folder.glob("records/[!.]*.json")]
     left_out = {name for name, decision in targets.decisions.items() if decision == "no"}
@@ -218,7 +218,7 @@ def _targets_hash(targets: TargetCache) -> str:
 
 
 def _pictures_hash(folder: Path, left_out: Set[str]) -> str:
-    """Of the records of a set; assets, which have none, are read whole."""
+    """Hash of the records of a set; assets, which have none, are read whole."""
     records = [folder / SET_FILE, *folder.glob("[!.]*/identity.json")]
     found = [path for path in records if path.is_file()]
     return _with_names(hash_files(folder, found or folder.glob("[!.]*.npz")), left_out)

@@ -24,7 +24,7 @@ from recast.simulation.rollout import Rollout
 from recast.simulation.scene_renderer import RolloutCoverage
 
 WIDTH, HEIGHT = 600, 270
-"""Of a plot, pixels on a page that is 1280 pixels wide."""
+"""Size of a plot in pixels, on a page that is 1280 pixels wide."""
 _LEFT, _RIGHT, _TOP, _BOTTOM = 56, 590, 18, 222
 INK, FAINT = "currentColor", "var(--line)"
 """Colours that the page defines, in light and in dark."""

@@ -30,7 +30,7 @@ from recast.splats.sh import C0
 _Line = list[tuple[int, str, drawing.Colour]]
 """Pieces of a line of text, each at its place in pixels."""
 SIDES = ("front", "front left", "left", "rear left", "rear", "rear right", "right", "front right")
-"""Of a vehicle, by azimuth in steps of 45 degrees."""
+"""Names of a vehicle's sides, by azimuth in steps of 45 degrees."""
 _WIDTH, _MARGIN = 1600, 20
 _VIEWS, _ACROSS = 8, 4
 _VIEW = (_WIDTH // _ACROSS, 225)

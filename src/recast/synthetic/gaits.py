@@ -207,10 +207,10 @@ STANCE = 0.58
 _STRIDE = 0.74
 """Metres of way in a cycle (two steps) to the body's height."""
 _LIFT, _TIP = 0.12, 0.33
-"""Of the swinging foot: metres, and radians that its toes point down first and up later."""
+"""Lift of the swinging foot, metres; radians that its toes point down first and up later."""
 _ARM_SWING, _ELBOW = 0.5, 0.35
 WHEEL_RADIUS = 0.34
-"""Of the wheels, metres."""
+"""Radius of the wheels, metres."""
 GEAR = 2.4
 """Turns of the wheels to one of the cranks."""
 _REAR, _FRONT = -0.45, 0.57

@@ -299,7 +299,7 @@ _DRIVING_MARGIN, _PARKED_MARGIN = 0.7, 0.25
 _AHEAD_MARGIN = 3.0
 """Metres kept free around the ego's ends, beyond the margin on all sides."""
 _AHEAD_SECONDS = 0.5
-"""Of driving, kept free before and behind a moving vehicle."""
+"""Seconds of driving, kept free before and behind a moving vehicle."""
 _SAME_LANE = 1.8
 _SEEN = (70.0, np.deg2rad(65), 0.3)
 _CROSSING_DISTANCE, _CROSSING_ANGLE = 2.0, np.deg2rad(30)

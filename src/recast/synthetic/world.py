@@ -204,7 +204,7 @@ def daylight(rng: Generator, elevation: tuple[float, float] = (25.0, 60.0)) -> S
 
 
 RATE_HZ = 10
-"""Of every camera and of the LiDAR, which fire together."""
+"""Rate of every camera and of the LiDAR, which fire together."""
 LIDAR = "lidar_top"
 
 _HORIZONTAL_FIELD = np.deg2rad(50.4)

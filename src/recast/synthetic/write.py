@@ -289,7 +289,7 @@ def _call(function: Callable[[Oracle, Job], Result], job: Job) -> Result:
 _CAMERA_STREAM, _LIDAR_STREAM = 201, 202
 _LABEL_STREAM = 401
 _HEIGHT_SHARE = 0.3
-"""Of the noise in height: the ground tells an annotator where a box stands."""
+"""Share of the noise that is left in height: the ground tells an annotator where a box stands."""
 _LEAST_SIZE = 0.5
 
 

@@ -139,4 +139,4 @@ def test_moments_are_those_of_all_values_together() -> None:
     found, values = moments.statistics(), np.concatenate(parts).astype(np.float64)
     assert found is not None
     np.testing.assert_allclose(found.mean, values.mean(axis=0), rtol=1e-12)
-    np.testing.assert_allclose(found.std, values.std(axis=0), rtol=1e-9)
+    np.testing.assert_allclose(found.std, values.std(axis=0), rtol=1e-12)

@@ -284,7 +284,7 @@ class _Problem:
         return solution[len(FITTED) + 3 :].reshape(-1, 2)
 
     def _residuals(self, scaled: Array, along: list[Array] | None = None) -> Array:
-        """Of points, lines and prior; `along` says where the lines are looked at."""
+        """Residuals of points, lines and prior; `along` says where the lines are looked at."""
         solution = scaled * self._spreads
         along = self._nearest(scaled) if along is None else along
         seen = [

@@ -292,7 +292,7 @@ def _told(weights: Weights, what: str) -> str:
 
 _STORE_PAGE = "docs/runs.md#the-store"
 _DIGITS = 10
-"""Of a key, as lists show it."""
+"""Digits of a key, as lists show it."""
 
 
 def list_store(store: Store, console: Console) -> None:

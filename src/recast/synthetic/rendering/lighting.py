@@ -35,7 +35,7 @@ from recast.synthetic.world import Sky
 HAZE_LENGTH = 1800.0
 """Metres after which haze leaves 1/e of a surface's light."""
 GROUND_ALBEDO = np.array([0.17, 0.17, 0.14])
-"""Of the plain beyond the end of the scene."""
+"""Albedo of the plain beyond the end of the scene."""
 DISC = np.float32(30.0)
 """Radiance of the sun's disc over its irradiance; far less than it is, and still beyond white."""
 _EYE_HEIGHT = 2.0
@@ -180,7 +180,7 @@ SKY_STEPS = (1, 2, 4, 8, 16)
 PLANE_TOLERANCE = np.float32(0.02)
 """Metres off each other's plane at which neighbours 1 m away from the camera count a quarter."""
 NORMAL_POWER = 16
-"""Of the cosine between normals; a power of two."""
+"""Exponent of the cosine between normals; a power of two."""
 LEAST_SUPPORT = np.float32(0.9)
 """Sum of the weights of the four neighbours, each at most 1/2, below which a point is alone."""
 

@@ -273,7 +273,7 @@ def gather_image(image: NDArray, x: Float32Array, y: Float32Array) -> NDArray:
 # image: a row of mip levels for each, so that a single `cv2.remap` serves all materials at once.
 
 LUMINANCE = np.array(colour.LUMINANCE, np.float32)
-"""Of linear RGB, ITU-R BT.709."""
+"""Luminance of linear RGB, ITU-R BT.709."""
 LEVELS = 9
 _SCALE = np.float32(100.0)
 _LEVEL_SIZE = (SIZE >> np.arange(LEVELS)).astype(np.float32)
@@ -316,7 +316,7 @@ class SurfacePoints:
 
     @cached_property
     def cosine(self) -> Float32Array:
-        """Of the angle (N,) between viewer and shading normal."""
+        """Cosine (N,) of the angle between viewer and shading normal."""
         return np.clip(-dot(self.view, self.normal), 0, 1)
 
     def local(self, index: NDArray[np.int64]) -> tuple[Float32Array, Float32Array]:

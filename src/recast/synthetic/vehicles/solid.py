@@ -401,7 +401,7 @@ class LoftedBody:
         return self.belt - self.wedge * x
 
     def half_width(self, x: Array, z: Array) -> Array:
-        """Of the body at a place and a height."""
+        """Half the width of the body at a place and a height."""
         belt = self.belt_at(x)
         widest = self.bottom + 0.55 * (belt - self.bottom)
         below = np.clip((widest - z) / (widest - self.bottom), 0, 1.2)
