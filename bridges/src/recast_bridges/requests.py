@@ -10,9 +10,9 @@ from recast.cameras import PinholeCamera, RadialLens, RationalLens
 AnyCamera = PinholeCamera | RationalLens | RadialLens
 
 MOST_PIXELS = 3840 * 2160
-"""Of one image."""
+"""Pixels of one image, at most."""
 MOST_IN_ALL = 4 * MOST_PIXELS
-"""Of the images of one call."""
+"""Pixels of the images of one call, at most."""
 MOST_SIDE = 65_500
 """Width and height of one image at most, which is what JPEG files can have (libjpeg)."""
 

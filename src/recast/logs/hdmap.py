@@ -162,7 +162,7 @@ Point3 = tuple[float, float, float]
 
 
 _LINES = {"centreline": 3, "left_boundary": 3, "right_boundary": 3, "polygon": 2}
-"""Of a lane, and numbers of a point."""
+"""Lines of a lane, and numbers of a point."""
 
 
 class _LaneModel(Record):

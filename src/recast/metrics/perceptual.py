@@ -306,7 +306,7 @@ class FeatureDistance:
 
 
 def cosine(first: Array, second: Array) -> float:
-    """Of the angle between two features (C,); exactly 1 for equal ones."""
+    """Cosine of the angle between two features (C,); exactly 1 for equal ones."""
     apart = _unit(first) - _unit(second)
     return 1.0 - 0.5 * float(apart @ apart)
 

@@ -24,8 +24,9 @@ CONFIG_VERSION = 1
 Share = Annotated[float, Field(ge=0, le=1)]
 Count = Annotated[int, Field(ge=1)]
 Measure = Literal["signed", "absolute_norm", "absolute_l1"]
-"""Of a row's screen-space gradient in a view: the length of its sum over pixels (3DGS); or, with
-the components' sizes added up over pixels (AbsGS), their length (gsplat) or sum (Street Gaussians).
+"""What is counted of a row's screen-space gradient in a view: the length of its sum over pixels
+(3DGS); or, with the components' sizes added up over pixels (AbsGS), their length (gsplat) or sum
+(Street Gaussians).
 """
 Preset = Literal["streetgs", "omnire"]
 PUBLISHED_STEPS = 30_000
@@ -35,9 +36,9 @@ EXPONENT = 0.75
 MOST = 12.0
 """Times the published rate: more has not been tried."""
 MOST_METRES = 0.02
-"""Of a centre in one step: more has not been tried."""
+"""Metres of a centre in one step, at most: more has not been tried."""
 MOST_DEFORMATION_RATE = 3e-3
-"""Of the deformation network: 1e-2 was no better in trials on a CPU."""
+"""Learning rate of the deformation network, at most: 1e-2 was no better in trials on a CPU."""
 RESET_EVERY = 0.1
 """Share of the run between resets of opacities."""
 LEAST_BETWEEN_RESETS = 300

@@ -65,7 +65,7 @@ class ViewShift:
 
     @property
     def name(self) -> str:
-        """Of files and rows, such as "left-2m" or "turned-right-5deg"."""
+        """Name of files and rows, such as "left-2m" or "turned-right-5deg"."""
         parts = []
         if self.lateral_m:
             parts.append(f"{'left' if self.lateral_m > 0 else 'right'}-{abs(self.lateral_m):g}m")

@@ -30,7 +30,7 @@ Distance = Callable[[Array, Array], float]
 Rectangle = tuple[int, int, int, int]
 """Left, top, right, bottom in whole pixels; right and bottom are one past the last."""
 BOX_GROWTH = (1.5, 1.5, 1.0)
-"""Of length, width and height: what a moving object's pixels are taken from."""
+"""Factors of length, width and height: what a moving object's pixels are taken from."""
 MIN_MOVING_PX = 64
 """Images with fewer moving pixels have no score for them."""
 LPIPS_SIDE = 64

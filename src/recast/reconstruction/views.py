@@ -145,7 +145,7 @@ def scaled_camera(camera: PinholeCamera, scale: float) -> PinholeCamera:
 def nearest_views(
     views: Sequence[TrainingView], timestamp_us: int, limit_us: int
 ) -> Iterator[TrainingView]:
-    """Of each camera the view nearest in time, where it is within `limit_us`."""
+    """The view of each camera nearest in time, where it is within `limit_us`."""
     for name in dict.fromkeys(view.camera_name for view in views):
         own = [view for view in views if view.camera_name == name]
         best = min(own, key=lambda view: abs(view.timestamp_us - timestamp_us))

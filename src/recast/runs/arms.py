@@ -26,7 +26,7 @@ OWN_STREET = "recast"
 PRESETS: tuple[Preset, ...] = get_args(Preset)
 ASSETS = "assets:"
 MOST_VIEWS = 24
-"""Of a target: one every 15 degrees all around."""
+"""Views of a target, at most: one every 15 degrees all around."""
 TRUTH = "truth"
 """The true street of a synthetic log, and the true vehicle."""
 Noise = Literal["seed", "grey", "jitter", "start"]

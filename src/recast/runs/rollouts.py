@@ -224,7 +224,7 @@ class Renderers:
 
     @cached_property
     def _oracles(self) -> OraclePool:
-        """Of all arms: processes that trace rays hold the whole world each."""
+        """The oracle of all arms: processes that trace rays hold the whole world each."""
         from recast.synthetic.write import OraclePool
 
         return self._open.enter_context(OraclePool(self._world_of(), self._oracle_workers))

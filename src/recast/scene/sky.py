@@ -36,7 +36,7 @@ OPAQUE = 1.0 - 1.0 / 255.0
 MOST_PIXELS = 1 << 25
 """Most pixels of a sky image: 8192 x 4096, 0.04 degrees a column."""
 MAX_WIDTH = 2048
-"""Of the map made: 0.18 degrees a column, 25 MB."""
+"""Pixels of the map made: 0.18 degrees a column, 25 MB."""
 FINER = 2
 """Samples a cell along each axis, whose mean its colour is."""
 _AXES = (

@@ -385,7 +385,7 @@ class NoisyRenderer(RendererAround):
         }
 
     def _jittered(self, name: str, image: Image) -> Image:
-        """Of a camera with a window, what lies in it."""
+        """An image moved a little; of a camera with a window, what lies in it."""
         mount = self.mounts[name]
         return mount.framed(jittered(mount.windowed(image)))
 

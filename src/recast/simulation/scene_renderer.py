@@ -223,7 +223,7 @@ class RolloutCoverage:
 
     @property
     def of_planner(self) -> RolloutCoverage | None:
-        """Of the images that the planner was given; None for one that looks at none."""
+        """Coverage of the images that the planner was given; None for one that looks at none."""
         given = tuple(image for image in self.images if image.planned)
         return RolloutCoverage(given) if given else None
 

@@ -46,7 +46,7 @@ from recast.splats.sh import C0, MAX_DEGREE
 EXTENSION = "KHR_gaussian_splatting"
 _FLOAT, _BYTE, _VERTICES = 5126, 5121, 34962
 MOST_GAUSSIANS = 10_000_000
-"""Of a file; its parts may share arrays, so that its size alone bounds nothing."""
+"""Gaussians of a file, at most; its parts may share arrays, so its size alone bounds nothing."""
 _MEND = "export it again as plain glTF with KHR_gaussian_splatting"
 _LOW_PASS = "recast_low_pass"  # in asset.extras
 

@@ -33,7 +33,7 @@ Backend = Literal["auto", "native", "gsplat", "reference"]
 DEVICE_OF = {"native": "cpu", "reference": "cpu", "gsplat": "cuda"}
 """The kind of device that each backend takes its Gaussians from."""
 MAX_ALPHA = 0.99
-"""Of the CPU's backends by default; gsplat's is built in."""
+"""Most opacity of the CPU's backends by default; gsplat's is built in."""
 
 
 def rasterize(

@@ -176,7 +176,7 @@ def choose_target(log: DrivingLog) -> str:
 
 @dataclass(frozen=True)
 class DriveSize:
-    """Of the synthetic scenes: seconds of the drive, and pixels of its images."""
+    """Size of the synthetic scenes: seconds of the drive, and pixels of its images."""
 
     seconds: float = 20.0
     width: int = 480

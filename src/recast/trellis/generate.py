@@ -104,7 +104,7 @@ class Structure:
 
     @property
     def seed(self) -> int:
-        """Of the stream."""
+        """Seed of the stream."""
         return self.generator.initial_seed()
 
 
@@ -265,7 +265,7 @@ class ImageTo3D:
 
     @property
     def latent_channels(self) -> int:
-        """Of a structured latent."""
+        """Channels of a structured latent."""
         return int(self.latent_flow.config.in_channels)
 
     @property

@@ -393,7 +393,7 @@ def cameras_message(mounts: Mapping[str, CameraMount]) -> Any:
 PNG, JPEG, PLANAR = 1, 2, 4
 """Numbers of the image formats that recast encodes."""
 JPEG_QUALITY = 95
-"""Of requests that name none, which is what AlpaSim always asks for."""
+"""Quality of requests that name none, which is what AlpaSim always asks for."""
 _SHORTEST = 1e-3
 """Pixels of a focal length in the image asked for: less is a slip, and no number of float32."""
 

@@ -37,7 +37,7 @@ _LOG = logging.getLogger(__name__)
 VERSION_ID = f"recast-{__version__}-mid-frame-pose"
 """Says too that the shutter does not roll: images show the pose at mid-frame."""
 API_VERSION = (0, 54, 0)
-"""Of AlpaSim's messages that these are."""
+"""Version of AlpaSim's messages that these are."""
 HOST, PORT = "127.0.0.1", 50051
 WORKERS = 8
 """Threads that answer calls. One draws at a time, the others read, encode and send."""

@@ -40,7 +40,7 @@ CAMERAS: Mapping[str, Look] = {
 }
 """The six cameras of nuScenes in NeuroNCAP's order, and where they look, rounded."""
 MEDIA_TYPES = {"raw": "text/plain", "png": "image/png", "jpg": "text/jpeg", "jpeg": "text/jpeg"}
-"""Of the image formats, by their names; text/jpeg is what NeuroNCAP's own renderer says."""
+"""Media types of the image formats, by name; text/jpeg is what NeuroNCAP's own renderer says."""
 
 
 def raw_image(image: Image) -> str:

@@ -352,7 +352,7 @@ def _trigger(parent: ET.Element, tag: str, seconds: float) -> None:
 
 
 MOST_BYTES = 1 << 28
-"""Of an XML file, at most."""
+"""Bytes of an XML file, at most."""
 _LONGEST_TIME = 1e6  # seconds
 _MEND = "give a file that recast wrote"
 

@@ -35,7 +35,7 @@ COLOUR_SCALE, SCALE_OFFSET, SCALE_STEPS, SH_STEPS = 0.15, 10.0, 16.0, 128.0
 SH_BUCKETS = (8, 16)
 """Steps of 1/128 that one stored value stands for: degree 1, and above."""
 MOST_COMPONENT, COMPONENT_STEPS = 0.5**0.5, 511
-"""Of a quaternion's three smallest components, and the steps up to it."""
+"""Range of a quaternion's three smallest components, and the steps up to it."""
 
 
 def packed(gaussians: Gaussians, bits: int) -> list[bytes]:

@@ -199,8 +199,8 @@ WAYMO_FROM_OPENCV = se3.from_rotation_translation(
 )
 """Waymo's camera frame is x forward, y left, z up."""
 _EARLIEST_US, _LATEST_US = -50_000, 150_000
-"""Of an image from the start of its frame's turn (in the real frame 22 to 72 ms): within reach of
-the ego trajectory, which goes through the images and is continued by 0.15 s."""
+"""Microseconds of an image from the start of its frame's turn (in the real frame 22 to 72 ms):
+within reach of the ego trajectory, which goes through the images and is continued by 0.15 s."""
 
 
 def rigid(values: Array, where: str) -> Array:
@@ -334,8 +334,9 @@ def shaped(values: ArrayLike, dims: Sequence[int], channels: int) -> Float32Arra
 
 _SAYS = "the camera's calibration"
 TURN_US = 100_000
-"""Of one turn of the TOP LiDAR. Cameras fire as it sweeps past them: in the real frame the middles
-of their exposures fit columns of a turn of this length, begun at the frame's time, within 1 ms."""
+"""Microseconds of one turn of the TOP LiDAR. Cameras fire as it sweeps past them: in the real frame
+the middles of their exposures fit columns of a turn of this length, begun at the frame's time,
+within 1 ms."""
 _CHANNELS = 4  # range, intensity, elongation, in no-label zone
 _POSE_CHANNELS = 6  # roll, pitch, yaw, x, y, z
 

@@ -458,7 +458,7 @@ SIGHTLESS = RolloutTrust(
     None,
     False,
 )
-"""Of a rollout whose planner is given no image."""
+"""Trust of a rollout whose planner is given no image."""
 
 
 def judge(features: TrustFeatures, calibration: TrustCalibration) -> RolloutTrust:

@@ -29,7 +29,7 @@ _REACH = 1.0
 _BACKWARD_DEPTH = 15
 _FORWARD_DEPTH = 30
 _REJOIN = 3
-"""Of how many first blocks one must be reached when none leads back to the start."""
+"""Number of first blocks of which one must be reached when none leads back to the start."""
 _LOOP_AREA = 1.0
 """Square metres that two connectors of a route may share before it counts as a loop."""
 

@@ -320,7 +320,7 @@ _OFF_LANE, _OFF_LANE_SAMPLES = 0.5, 20
 _LEAST_PROGRESS = 5.0
 """Metres: where no proposal gets further, progress tells none apart."""
 WEIGHTS = {"progress": 5.0, "ttc": 5.0, "lane_keeping": 2.0, "history_comfort": 2.0}
-"""Of the weighted sub-metrics; `EXTENDED_COMFORT_WEIGHT` is EC's."""
+"""Weights of the weighted sub-metrics; `EXTENDED_COMFORT_WEIGHT` is EC's."""
 EXTENDED_COMFORT_WEIGHT = 2.0
 EXTENDED_COMFORT_LIMITS = {"acceleration": 0.7, "jerk": 0.5, "yaw_rate": 0.1, "yaw_accel": 0.1}
 """m/s^2, m/s^3, rad/s, rad/s^2: largest root mean square differences of two plans."""

@@ -80,7 +80,7 @@ class LitSurface:
 
     @classmethod
     def of(cls, normals: Tensor, points: Tensor, size: Array) -> Self:
-        """Of points (N, 3) with normals (N, 3), actor frame, on a vehicle of `size` (3,)."""
+        """The surface of points and normals (N, 3), actor frame, of a vehicle of `size` (3,)."""
         shares = near_stations(points[:, 0].detach().cpu().numpy().astype(np.float64), size)
         return cls(normals, basis(normals, 2), torch.from_numpy(shares).to(normals))
 

@@ -52,8 +52,8 @@ _GREY = 0.5  # logarithm of red over blue, from the median
 _LIFT_M = 0.3
 _VAGUE = 0.1  # certainty below which no direction is named
 _BANDS = torch.tensor([torch.pi, *[2 * torch.pi / 3] * 3, *[torch.pi / 4] * 5], dtype=torch.float64)
-"""Of the clamped cosine in harmonics; Ramamoorthi and Hanrahan (2001), "An efficient representation
-for irradiance environment maps"."""
+"""Factors of the clamped cosine in harmonics; Ramamoorthi and Hanrahan (2001), "An efficient
+representation for irradiance environment maps"."""
 
 
 @dataclass(frozen=True)

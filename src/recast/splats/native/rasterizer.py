@@ -35,7 +35,7 @@ _store_lock = threading.Lock()
 _returned: deque[np.ndarray] = deque()
 _idle: list[int] = []  # native contexts that no view holds
 STAGES = ("project", "sort", "bin", "raster", "raster_backward", "project_backward")
-"""Of a pass, as they are timed."""
+"""Stages of a pass, as they are timed."""
 MOST_AT_ONCE = 1 << 24
 """Pairs of a Gaussian and a tile that are listed together: 0.13 GB, and 0.7 GB of gradients; an
 image with more is worked on in bands."""

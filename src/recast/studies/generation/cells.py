@@ -54,7 +54,7 @@ Placement = Literal["views", "canonical"]
 
 _CELL, _FEATURES = "cell.json", "features.npz"
 _MEMBERS = ("key", "id", "failure", "facts", "views", "scores")
-"""Of cell.json."""
+"""Members of cell.json."""
 
 
 @dataclass(frozen=True)
@@ -296,7 +296,7 @@ class CellMaker:
         return {"measure": time.perf_counter() - start}
 
     def _pictured(self, task: CellTask, model: StudyModel) -> dict[str, float]:
-        """Of pictures that were drawn elsewhere: neither made nor placed here."""
+        """Seconds of judging pictures drawn elsewhere: nothing is made or placed here."""
         assert model.folder is not None
         start = time.perf_counter()
         try:
@@ -357,7 +357,7 @@ class CellMaker:
     def _features(
         self, shown: Sequence[ScoredCutout], truths: Sequence[ScoredCutout]
     ) -> dict[str, Features]:
-        """Of every view, seen in the square around the photographed vehicle."""
+        """Features of every view, seen in the square around the photographed vehicle."""
         squares = [one.within(framed(truth.mask)) for one, truth in zip(shown, truths, strict=True)]
         return {
             embedder.key: np.stack([embedder.features(one) for one in squares]).astype(np.float32)

@@ -145,7 +145,7 @@ def summarize(
 
 
 def view_scores(cell: StudyCell, truth: StudyCell) -> list[dict[str, float]]:
-    """Of every view, the scores that a cell holds and those by features."""
+    """The scores of every view that a cell holds and those by features."""
     found = [dict(scores) for scores in cell.scores]
     for name, features in cell.features.items():
         kind = FEATURE_KINDS[name]

@@ -72,7 +72,7 @@ class StudyModel:
 
     @property
     def folder(self) -> Path | None:
-        """Of results by vehicle; None for what runs here."""
+        """Folder of results by vehicle; None for what runs here."""
         if self.source.startswith((FILES, VIEWS)):
             return Path(self.source.partition(":")[2])
         return None
@@ -91,7 +91,7 @@ class StudyModel:
 
 
 def vehicle_hash(model: StudyModel, case: ActorCase) -> str:
-    """Of the results of one vehicle; empty where there are none."""
+    """Hash of the results of one vehicle; empty where there are none."""
     assert model.folder is not None
     if model.source.startswith(FILES):
         files = [path for path in _vehicle_files(model.folder, case.id) if path.is_file()]

@@ -188,7 +188,7 @@ def _view_key(view: ActorView) -> list[Any]:
 
 
 def measure_hashes(measures: Measures) -> dict[str, str]:
-    """Of the weights that are given; what is not there is refused when it is loaded."""
+    """Hashes of the weights that are given; what is not there is refused when it is loaded."""
     return {
         name: folder_hash(path) if path.is_dir() else file_hash(path) if path.is_file() else ""
         for name, path in vars(measures).items()

@@ -54,7 +54,7 @@ _LOOK_AHEAD = (10.0, 20.0, 30.0)
 """Metres at which the route's offset is told as a clue."""
 _SEEN = np.deg2rad(68.0)
 FIRST_SEED = 1000
-"""Of training worlds; those below are for evaluation."""
+"""First seed of training worlds; those below are for evaluation."""
 _WORLDS_PER_SEED = 100_000
 _WITH_ACTOR = 0.86
 _TWIN = 0.42

@@ -45,7 +45,7 @@ from recast_tools.planner_training.task import HALF_VIEWS
 RECONSTRUCTED: tuple[Renderer, ...] = RENDERERS[1:]
 _SEED = 0
 _EVERY = 2
-"""Of the moments of the log: five images a second and camera, about 2 m apart."""
+"""Every second of the moments of the log: five images a second and camera, about 2 m apart."""
 _FAR_BELOW = 1000.0
 """Metres under the road, where a target is drawn that is not placed."""
 

@@ -32,9 +32,9 @@ _IN_LANE = 2.2
 _LATEST = 100
 """Steps of a script after which nothing new happens."""
 _SHARES = {"stationary": 0.22, "oncoming": 0.25, "through": 0.05, "cut-in": 0.32, "advancing": 0.16}
-"""Of the motions. A planner that rarely sees vehicles stay in the next lane brakes for all."""
+"""Shares of the motions. A planner that rarely sees vehicles keep the next lane brakes for all."""
 _PLAYED, _WAITING = 0.4, 0.25
-"""Of the vehicles placed: played as a run plays them; with the ego waiting close to them."""
+"""Shares of the vehicles placed: played as a run plays them; with the ego waiting close to them."""
 _EARLY = 45
 """Steps from the start of those that are played."""
 _CLOSEST, _FARTHEST, _BESIDE = 0.8, 53.0, 7.0
@@ -42,7 +42,7 @@ _CLOSEST, _FARTHEST, _BESIDE = 0.8, 53.0, 7.0
 _NEAR = 12.0
 """Metres of gap at which the ego waits at most."""
 ABOUT = (0.8, 1.15)
-"""Of the log's speed, at which the ego starts."""
+"""Shares of the log's speed, at which the ego starts."""
 
 
 @dataclass(frozen=True)

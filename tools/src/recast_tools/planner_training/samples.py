@@ -24,7 +24,7 @@ from recast.planning.gtrs.scores import Trajectories, read_vocabulary
 
 RECORD_FILE, VOCABULARY_FILE = "dataset.json", "vocabulary.npy"
 VERSION: Literal[3] = 3
-"""Of the format; version 1 did not say what rendered an image."""
+"""Version of the format; version 1 did not say what rendered an image."""
 MEND = "name another folder, or make the samples again"
 CLUES = (
     "present",

@@ -183,7 +183,7 @@ class GtrsTask:
         return terms
 
     def logits(self, features: Tensor, batch: Batch) -> dict[str, Tensor]:
-        """Of every head (B K, L), from the backbone's features (B, C, h, w) of a batch's images."""
+        """Logits (B K, L) of every head, from the backbone's features (B, C, h, w) of a batch."""
         speeds = len(batch.status) // len(features)
         return self.model.score(
             features.repeat_interleave(speeds, dim=0), batch.status, batch.trajectories
@@ -191,7 +191,7 @@ class GtrsTask:
 
 
 def sum_of(terms: Mapping[str, Tensor]) -> Tensor:
-    """Of all terms: the loss."""
+    """Sum of all terms: the loss."""
     return torch.stack(list(terms.values())).sum()
 
 

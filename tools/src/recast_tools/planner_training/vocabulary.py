@@ -31,11 +31,11 @@ _TIMES = _DT * np.arange(WAYPOINTS + 1)
 MIN_SIZE = 64
 _SAMPLED = 12_000
 _SIDE_SHARE = 0.36
-"""Of the vocabulary, entries that lead to the left; as many lead to the right."""
+"""Share of the vocabulary's entries that lead to the left; as many lead to the right."""
 _FIXED_SHARE = 0.75
 """Maximum share of the straight entries that are not chosen by k-means."""
 _EMERGENCY_SHARE = 0.15
-"""Of the sampled entries, those that are not comfortable: hard braking and swerving."""
+"""Share of the sampled entries that are not comfortable: hard braking and swerving."""
 _STOPS_FROM = np.arange(1.5, 15.1, 1.5)
 _HARD_STOPS = (4.0, 6.0)
 _SMOOTH_STOPS = ((1.5, 0.0), (2.5, 0.0), (2.5, 0.8), (2.5, None), (3.8, 0.0), (3.8, None))

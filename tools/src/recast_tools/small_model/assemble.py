@@ -55,7 +55,7 @@ _PARTS = {
 }
 Part = Literal["structure", "latent", "image"]
 STEPS: dict[Part, int] = {"structure": 1500, "latent": 8000, "image": 3000}
-"""Of the shipped model."""
+"""Training steps of the shipped model."""
 
 
 def assemble(
