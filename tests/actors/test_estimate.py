@@ -18,8 +18,9 @@ from recast.actors.template.cloud import (
     road_level,
     shade,
 )
+from recast.actors.template.design import STYLES
 from recast.actors.template.generator import SurfaceView, view_surface
-from recast.actors.template.proportions import STYLES, TemplatePlacement
+from recast.actors.template.proportions import TemplatePlacement
 from recast.geometry.colour import gamma_to_linear, linear_to_gamma
 from support import made_up_actors as made_up
 

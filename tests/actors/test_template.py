@@ -17,8 +17,9 @@ from recast.actors.template.cloud import (
     sh_basis,
     shade,
 )
+from recast.actors.template.design import STYLES, candidate_styles
 from recast.actors.template.materials import TemplateMaterial, label_body
-from recast.actors.template.proportions import STYLES, candidate_styles, fit_shape
+from recast.actors.template.proportions import fit_shape
 from recast.scene.actor import look_at
 from recast.splats import Gaussians, rasterize
 from support import made_up_actors as made_up

@@ -1,6 +1,6 @@
 """A parametric vehicle coloured from one crop: the generator `template`."""
 
+from recast.actors.template.design import STYLES, VehicleDesign
 from recast.actors.template.generator import TemplateGenerator
-from recast.actors.template.proportions import STYLES, Proportions
 
-__all__ = ["STYLES", "Proportions", "TemplateGenerator"]
+__all__ = ["STYLES", "TemplateGenerator", "VehicleDesign"]

@@ -21,7 +21,7 @@ from recast.arrays import Array, Int64Array
 from recast.geometry.boxes import smooth_max
 
 if TYPE_CHECKING:
-    from recast.actors.template.proportions import Proportions
+    from recast.actors.template.design import VehicleDesign
 
 
 @dataclass(frozen=True)
@@ -42,17 +42,18 @@ class BodyPanels:
 
 
 class TemplateBody:
-    """The implicit body of a vehicle of given box and proportions.
+    """The implicit body of a vehicle of given box and design.
 
     Args:
         size: (3,) length, width, height in metres; the body touches all faces of the box but the
             bottom one, which the wheels touch.
-        proportions: landmarks.
+        design: landmarks and parts.
     """
 
-    def __init__(self, size: Array, proportions: Proportions) -> None:
+    def __init__(self, size: Array, design: VehicleDesign) -> None:
         self.size = np.asarray(size, np.float64)
-        self.proportions = p = proportions
+        self.design = design
+        p = design.proportions
         self.length, self.width, self.height = (float(v) for v in self.size)
         lateral = self.width / 1.75
         self.tumblehome = p.tumblehome * lateral
@@ -117,7 +118,7 @@ class TemplateBody:
 
     def panels(self, points: Array) -> BodyPanels:
         """Distances of points (N, 3) to each panel."""
-        p, H, L = self.proportions, self.height, self.length
+        p, H, L = self.design.proportions, self.height, self.length
         x, y, z = points.T
         across = np.abs(2 * y / self.width)
         lateral = self.width / 1.75
@@ -278,7 +279,7 @@ def wheel(body: TemplateBody, axle_x: float, spacing: float) -> tuple[Array, Arr
 
 def mirror(body: TemplateBody, spacing: float) -> tuple[Array, Array, Int64Array]:
     """Points, normals and materials of the left outside mirror, 8 cm beyond the box."""
-    p = body.proportions
+    p = body.design.proportions
     scale = np.clip(body.height / 1.5, 1.0, 1.8)
     radii = np.array([0.06, 0.095, 0.065 * scale]) * np.array([1.0, 1.0, scale])
     x = body.x_at(p.cowl_x) - 0.42 * body.height / 1.5

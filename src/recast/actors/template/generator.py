@@ -268,7 +268,7 @@ class TemplateGenerator(BaseGenerator):
         rng = np.random.default_rng(seed)
         size = observation.size
         fit = _fit(observation, rng, self.style)
-        body = TemplateBody(size, fit.proportions)
+        body = TemplateBody(size, fit.design)
         coarse = max(self.spacing, _SKETCH_SPACING)
         sketch = build_cloud(body, coarse, rng).points
         lidar = np.asarray(observation.points, np.float64)

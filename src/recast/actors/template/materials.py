@@ -15,6 +15,7 @@ from recast.arrays import Array, Int64Array, Mask
 
 if TYPE_CHECKING:
     from recast.actors.template.body import BodyPanels, TemplateBody
+    from recast.actors.template.design import FrontDesign
 
 
 PLATE_SIZE = (0.52, 0.115)  # European, metres
@@ -110,10 +111,11 @@ def _plate(labels: Int64Array, y: Array, z: Array, height: float, where: Mask) -
 
 
 def _front(body: TemplateBody, points: Array, normals: Array, labels: Int64Array) -> None:
-    p, H, half = body.proportions, body.height, body.width / 2
+    p, H, half = body.design.proportions, body.height, body.width / 2
     x, y, z = points.T
     behind = body.length / 2 - x
     ahead = (normals[:, 0] > 0.25) & (behind < 0.5 * half + 0.2) & (z < 1.05 * p.cowl_z * H)
+    front = body.design.front
     lead = p.bonnet_z * H
     s = lead / 0.70  # heights scale with the height of the nose
 
@@ -143,37 +145,45 @@ def _front(body: TemplateBody, points: Array, normals: Array, labels: Int64Array
     labels[ahead & crease] = TemplateMaterial.SEAM
 
     # grille with chrome frame, bars and emblem
-    u, v = np.abs(y) / (0.38 * half), (z - 0.590 * s) / (0.066 * s)
+    u = np.abs(y) / (front.grille_width * half)
+    v = (z - front.grille_z * lead) / (front.grille_height / 2)
     outline = np.maximum(u + 0.10 * v, np.abs(v))
     labels[ahead & (outline < 1.0) & (np.abs(v) < 1.0)] = TemplateMaterial.CHROME
     inside = ahead & (outline < 0.95) & (np.abs(v) < 0.86)
     labels[inside] = TemplateMaterial.GRILLE
     labels[inside & (np.abs((v + 1) * 2.0 % 1 - 0.5) < 0.085)] = TemplateMaterial.CHROME
-    emblem = np.hypot(y, z - 0.595 * s)
+    emblem = np.hypot(y, z - front.grille_z * lead)
     labels[ahead & (emblem < 0.052)] = TemplateMaterial.CHROME
     labels[ahead & (emblem < 0.040)] = TemplateMaterial.TRIM
     labels[ahead & (emblem < 0.024)] = TemplateMaterial.CHROME
 
-    _headlamps(
-        half, np.abs(y) + 0.8 * behind, z, s, (normals[:, 0] > 0.02) & (behind < 0.7), labels
-    )
-    _plate(labels, y, z, 0.405 * s, ahead)
+    around = (normals[:, 0] > 0.02) & (behind < 0.7)
+    _headlamps(front, half, np.abs(y) + 0.8 * behind, z, lead, around, labels)
+    _plate(labels, y, z, front.plate_z * lead, ahead)
 
 
-def _headlamps(half: float, u: Array, z: Array, s: float, where: Mask, labels: Int64Array) -> None:
+def _headlamps(
+    front: FrontDesign,
+    half: float,
+    u: Array,
+    z: Array,
+    lead: float,
+    where: Mask,
+    labels: Int64Array,
+) -> None:
     """Almond-shaped headlamps wrapped around the corners; `u` runs from the middle around them."""
-    inner, outer = 0.46 * half, half + 0.22
+    inner, outer = front.lamp_inner * half, half + front.lamp_wrap
     t = (u - inner) / (outer - inner)
-    middle = (0.590 + 0.030 * t) * s
-    tall = (
-        0.066 * s * np.sqrt(np.clip(t / 0.10, 0, 1)) * (1 - 0.45 * np.clip(t - 0.55, 0, 1) / 0.45)
-    )
+    middle = (front.lamp_z + front.lamp_slant * t) * lead
+    radius = front.lamp_height / 2
+    ends = np.sqrt(np.clip(t / 0.10, 0, 1)) * (1 - 0.45 * np.clip(t - 0.55, 0, 1) / 0.45)
+    tall = radius * ends
     v = (z - middle) / np.maximum(tall, 1e-3)
     lens = where & (t > 0) & (t < 1) & (np.abs(v) < 1)
     labels[lens] = TemplateMaterial.GRILLE
     labels[lens & (np.abs(v) < 0.86) & (t > 0.025) & (t < 0.975)] = TemplateMaterial.LAMP
     for centre, size in ((0.24, 0.80), (0.50, 0.86)):
-        ring = np.hypot((t - centre) * (outer - inner), z - middle) / (0.066 * s)
+        ring = np.hypot((t - centre) * (outer - inner), z - middle) / radius
         labels[lens & (ring < size)] = TemplateMaterial.GRILLE
         labels[lens & (ring < size - 0.16)] = TemplateMaterial.LAMP
         labels[lens & (ring < size - 0.36)] = TemplateMaterial.LAMP_CORE
@@ -183,11 +193,11 @@ def _headlamps(half: float, u: Array, z: Array, s: float, where: Mask, labels: I
 def _rear(
     body: TemplateBody, points: Array, normals: Array, panels: BodyPanels, labels: Int64Array
 ) -> None:
-    p, H, half = body.proportions, body.height, body.width / 2
+    H, half = body.height, body.width / 2
     x, y, z = points.T
     ahead = x + body.length / 2
     behind = (normals[:, 0] < -0.25) & (ahead < 0.6)
-    low = p.tail_lamp_z[0] * H
+    low = body.design.rear.lamp_low * H
     bumper = min(0.36 * H, 0.62)
 
     # tailgate and bumper
@@ -220,9 +230,9 @@ def _rear(
 
 
 def _tail_lamps(body: TemplateBody, u: Array, z: Array, where: Mask, labels: Int64Array) -> None:
-    p, half = body.proportions, body.width / 2
-    low, high = p.tail_lamp_z[0] * body.height, p.tail_lamp_z[1] * body.height
-    inner, outer = p.tail_lamp_inner * half, half + 0.20
+    rear, half = body.design.rear, body.width / 2
+    low, high = rear.lamp_low * body.height, rear.lamp_high * body.height
+    inner, outer = rear.lamp_inner * half, half + rear.lamp_wrap
     s, t = (u - inner) / (outer - inner), (z - low) / (high - low)
     lens = where & (s > 0) & (s < 1) & (t > 0) & (t < 1)
     labels[lens] = TemplateMaterial.SEAM
@@ -235,7 +245,7 @@ def _tail_lamps(body: TemplateBody, u: Array, z: Array, where: Mask, labels: Int
 
 
 def _sides(body: TemplateBody, points: Array, normals: Array, labels: Int64Array) -> None:
-    p, H = body.proportions, body.height
+    p, H = body.design.proportions, body.height
     x, _, z = points.T
     side = np.abs(normals[:, 1]) > 0.5
     sill = body.clearance + 0.07 * H
@@ -263,7 +273,7 @@ def _sides(body: TemplateBody, points: Array, normals: Array, labels: Int64Array
 
 def _glass(body: TemplateBody, points: Array, panels: BodyPanels, labels: Int64Array) -> None:
     """Windows: the interior of each greenhouse panel, framed in black."""
-    p = body.proportions
+    p = body.design.proportions
     x, y, _ = points.T
     cab = panels.lower > 0.01  # on the greenhouse, not on the body below
     edge = 0.075 * body.width / 1.75

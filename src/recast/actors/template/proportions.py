@@ -1,4 +1,4 @@
-"""Where bonnet, windscreen, roof and wheels lie: by class and box, fitted to LiDAR and outlines."""
+"""The design of a vehicle fitted to LiDAR and outlines; the vehicle placed in its photographs."""
 
 from __future__ import annotations
 
@@ -8,12 +8,13 @@ from typing import Any
 
 import cv2
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
 from recast.actors.observation import Observation, crossing
 from recast.actors.place import minimum
 from recast.actors.template.body import TemplateBody
+from recast.actors.template.design import STYLES, VehicleDesign, candidate_styles
 from recast.arrays import Array, Mask
 from recast.geometry import se3
 
@@ -27,102 +28,6 @@ _SPREAD = {"tumblehome": 0.05, "tail_bow": 0.05, "tail_lean": 0.05}
 _SPREAD_DEFAULT = 0.022
 _SHIFT_SPREAD = np.array([0.10, 0.08, 0.03])  # label errors: along, across (metres), scale
 
-
-@dataclass(frozen=True)
-class Proportions:
-    """Side-view landmarks of a body style.
-
-    `*_x` are fractions of the length behind the front bumper, `*_z` fractions of the height above
-    the ground; the others are metres for a body 1.75 m wide unless said otherwise.
-
-    Attributes:
-        bonnet_z: leading edge of the bonnet.
-        cowl_x, cowl_z: base of the windscreen.
-        roof_front_x, roof_rear_x, roof_rear_z: ends of the roof; its top is at 1.
-        tail_x, tail_z: base of the rear window.
-        deck_z: rear end of the boot lid, or of the shelf below the rear window.
-        belt_rear_z: window sill at the rear; at the front it is `cowl_z`.
-        front_axle_x, rear_axle_x: wheel centres.
-        clearance_z: underside.
-        wheel_radius: metres.
-        tumblehome: how far each side window leans inward at the roof.
-        nose_bow, tail_bow: how far the corners lie behind the middle of the bumper.
-        nose_lean, tail_lean: how far the fascia leans back between bumper and bonnet or deck.
-        edge_radius: rounding of the roof edges.
-        rear_windows: whether there is side glass behind the front doors.
-        side_pillars_x: pillars between side windows, B first.
-        tail_lamp_z: lower and upper edge of the tail lamps.
-        tail_lamp_inner: their inner end, as a fraction of the half width.
-    """
-
-    bonnet_z: float
-    cowl_x: float
-    cowl_z: float
-    roof_front_x: float
-    roof_rear_x: float
-    roof_rear_z: float
-    tail_x: float
-    tail_z: float
-    deck_z: float
-    belt_rear_z: float
-    front_axle_x: float
-    rear_axle_x: float
-    clearance_z: float
-    wheel_radius: float
-    tumblehome: float
-    nose_bow: float
-    tail_bow: float
-    nose_lean: float
-    tail_lean: float
-    edge_radius: float
-    rear_windows: bool
-    side_pillars_x: tuple[float, ...]
-    tail_lamp_z: tuple[float, float]
-    tail_lamp_inner: float
-
-
-# bonnet_z; cowl_x, _z; roof_front_x, roof_rear_x, _z; tail_x, _z; deck_z; belt_rear_z
-_LANDMARKS = {
-    "sedan": (0.50, 0.29, 0.665, 0.44, 0.67, 0.965, 0.835, 0.715, 0.67, 0.69),
-    "hatchback": (0.49, 0.245, 0.645, 0.41, 0.855, 0.93, 0.955, 0.665, 0.62, 0.69),
-    "estate": (0.50, 0.285, 0.66, 0.43, 0.875, 0.935, 0.975, 0.675, 0.65, 0.69),
-    "mpv": (0.51, 0.185, 0.625, 0.355, 0.90, 0.955, 0.975, 0.62, 0.58, 0.66),
-    "suv": (0.56, 0.265, 0.665, 0.395, 0.885, 0.955, 0.97, 0.655, 0.62, 0.69),
-    "pickup": (0.56, 0.265, 0.66, 0.36, 0.565, 0.97, 0.595, 0.66, 0.60, 0.63),
-    "van": (0.45, 0.13, 0.54, 0.27, 0.96, 0.985, 0.985, 0.55, 0.50, 0.56),
-    "bus": (0.36, 0.012, 0.40, 0.03, 0.98, 0.99, 0.99, 0.52, 0.50, 0.44),
-    "truck": (0.34, 0.02, 0.42, 0.06, 0.985, 0.995, 0.995, 0.45, 0.42, 0.43),
-}
-# front_axle_x, rear_axle_x; clearance_z, wheel_radius, tumblehome; nose_bow, tail_bow; nose_lean,
-# tail_lean; edge_radius
-_SHAPES = {
-    "sedan": (0.185, 0.795, 0.13, 0.31, 0.17, 0.24, 0.14, 0.10, 0.08, 0.14),
-    "hatchback": (0.185, 0.81, 0.13, 0.31, 0.17, 0.24, 0.14, 0.10, 0.04, 0.14),
-    "estate": (0.185, 0.79, 0.13, 0.31, 0.17, 0.24, 0.14, 0.10, 0.04, 0.14),
-    "mpv": (0.185, 0.82, 0.13, 0.31, 0.15, 0.24, 0.14, 0.14, 0.04, 0.14),
-    "suv": (0.185, 0.795, 0.17, 0.36, 0.15, 0.24, 0.14, 0.06, 0.04, 0.14),
-    "pickup": (0.185, 0.795, 0.18, 0.37, 0.13, 0.24, 0.05, 0.05, 0.04, 0.10),
-    "van": (0.17, 0.77, 0.10, 0.34, 0.11, 0.24, 0.06, 0.20, 0.04, 0.14),
-    "bus": (0.22, 0.72, 0.09, 0.48, 0.06, 0.14, 0.08, 0.02, 0.04, 0.12),
-    "truck": (0.16, 0.76, 0.12, 0.48, 0.03, 0.10, 0.02, 0.02, 0.04, 0.07),
-}
-# rear_windows, side_pillars_x, tail_lamp_z, tail_lamp_inner
-_WINDOWS: dict[str, tuple[bool, tuple[float, ...], tuple[float, float], float]] = {
-    "sedan": (True, (0.515, 0.70), (0.49, 0.62), 0.60),
-    "hatchback": (True, (0.51, 0.74), (0.49, 0.62), 0.60),
-    "estate": (True, (0.505, 0.70), (0.49, 0.62), 0.60),
-    "mpv": (True, (0.485, 0.73), (0.50, 0.76), 0.84),
-    "suv": (True, (0.49, 0.71), (0.47, 0.66), 0.72),
-    "pickup": (True, (0.46,), (0.38, 0.57), 0.84),
-    "van": (False, (0.38,), (0.30, 0.50), 0.88),
-    "bus": (True, (0.16, 0.30, 0.44, 0.58, 0.72, 0.86), (0.24, 0.42), 0.82),
-    "truck": (False, (0.19,), (0.19, 0.25), 0.66),
-}
-STYLES = {
-    style: Proportions(*_LANDMARKS[style], *_SHAPES[style], *_WINDOWS[style])
-    for style in _LANDMARKS
-}
-"""Body styles, drawn by eye from side views of common cars."""
 
 # Fitted to the evidence: those landmarks that a LiDAR cloud of one or two sides can tell.
 FITTED = (
@@ -141,40 +46,12 @@ FITTED = (
 )
 
 
-def candidate_styles(category: str, size: ArrayLike) -> dict[str, float]:
-    """Body styles a labelled vehicle may have, each with a prior cost (0 = most likely).
-
-    Args:
-        category: the track's class; everything that is not van, truck or bus counts as a car.
-        size: (3,) length, width, height in metres.
-    """
-    length, _, height = np.asarray(size, np.float64)
-    fixed = {"van": "van", "bus": "bus", "tram": "bus", "truck": "truck"}
-    if category in fixed:
-        return {fixed[category]: 0.0}
-    # typical (length, height) of each style; the cost is the squared distance in units of spread
-    typical = {
-        "sedan": (4.65, 1.45),
-        "hatchback": (4.0, 1.48),
-        "estate": (4.6, 1.47),
-        "mpv": (4.2, 1.63),
-        "suv": (4.55, 1.70),
-        "pickup": (5.4, 1.85),
-    }
-    costs = {
-        style: ((length - usual[0]) / 0.4) ** 2 + ((height - usual[1]) / 0.12) ** 2
-        for style, usual in typical.items()
-    }
-    least = min(costs.values())
-    return {style: cost - least for style, cost in costs.items() if cost - least < 5.0}
-
-
 @dataclass(frozen=True)
 class ShapeFit:
     """A fitted body and where the real vehicle stands in its logged box."""
 
     style: str  # name in `STYLES`
-    proportions: Proportions  # proportions of the style, bent to the points
+    design: VehicleDesign  # design of the style, bent to the points
     offset: Array  # (2,) forward, left shift of the vehicle from the box, metres
     scale: float  # size of the vehicle over that of its box
     # median distance of the points used to the fitted surface, metres; nan without points.
@@ -218,7 +95,7 @@ def fit_shape(
     place = solution[len(FITTED) :]
     return ShapeFit(
         style=chosen,
-        proportions=_bent(STYLES[chosen], solution),
+        design=_bent(STYLES[chosen], solution),
         offset=place[:2].copy(),
         scale=float(1 + place[2]),
         median_distance=float(np.median(np.abs(distance))) if len(cloud) else float("nan"),
@@ -226,10 +103,11 @@ def fit_shape(
     )
 
 
-def _bent(style: Proportions, solution: Array) -> Proportions:
+def _bent(style: VehicleDesign, solution: Array) -> VehicleDesign:
+    usual = style.proportions
     deltas = zip(FITTED, solution, strict=False)
-    changes: dict[str, Any] = {name: float(getattr(style, name) + delta) for name, delta in deltas}
-    return replace(style, **changes)
+    changes: dict[str, Any] = {name: float(getattr(usual, name) + delta) for name, delta in deltas}
+    return replace(style, proportions=replace(usual, **changes))
 
 
 class _Problem:
@@ -240,7 +118,7 @@ class _Problem:
     """
 
     def __init__(
-        self, style: Proportions, size: Array, points: Array, contours: Sequence[Contour]
+        self, style: VehicleDesign, size: Array, points: Array, contours: Sequence[Contour]
     ) -> None:
         self._style, self._size, self._contours = style, size, contours
         self._points = points[TemplateBody(size, style).wells(points) > -0.02]
@@ -435,8 +313,8 @@ def overlap(first: Mask, second: Mask) -> float:
 
 def find_axles(
     body: TemplateBody, observation: Observation, placements: Sequence[TemplatePlacement]
-) -> Proportions:
-    """Proportions with the axles where the photographs show wheels.
+) -> VehicleDesign:
+    """The design with the axles where the photographs show wheels.
 
     A wheel is a bright rim in a dark tyre: the place along the side, within 0.07 lengths of the
     usual one, where rim and tyre differ most, in the view that shows it most clearly. Unclear or
@@ -444,14 +322,14 @@ def find_axles(
     """
     found: dict[str, Any] = {}
     for name in ("front_axle_x", "rear_axle_x"):
-        usual = getattr(body.proportions, name)
+        usual = getattr(body.design.proportions, name)
         seen = [
             _clearest(body, view, placement, usual)
             for view, placement in zip(observation.views, placements, strict=True)
         ]
         contrast, place = max(seen)
         found[name] = place if contrast > 0.8 else usual
-    return replace(body.proportions, **found)
+    return replace(body.design, proportions=replace(body.design.proportions, **found))
 
 
 def _clearest(
