@@ -8,19 +8,20 @@ import pytest
 
 from recast.actors import Observation
 from recast.actors.template.body import TemplateBody
-from recast.actors.template.cloud import (
+from recast.actors.template.cloud import SurfaceCloud, build_cloud
+from recast.actors.template.design import STYLES
+from recast.actors.template.lighting import (
     Daylight,
-    SurfaceCloud,
-    build_cloud,
     estimate_light,
     estimate_rims,
     estimate_windows,
     road_level,
+    road_light,
+    road_tint,
     shade,
 )
-from recast.actors.template.design import STYLES
-from recast.actors.template.generator import SurfaceView, view_surface
 from recast.actors.template.proportions import TemplatePlacement
+from recast.actors.template.texture import SurfaceView, view_surface
 from recast.geometry.colour import gamma_to_linear, linear_to_gamma
 from support import made_up_actors as made_up
 
@@ -33,14 +34,18 @@ def cloud() -> SurfaceCloud:
 
 
 def photographed(
-    cloud: SurfaceCloud, paint: float, light: Daylight, rims: float = 1.0, windows: float = 1.0
+    cloud: SurfaceCloud,
+    paint: float | np.ndarray,
+    light: Daylight,
+    rims: float = 1.0,
+    windows: float = 1.0,
 ) -> SurfaceView:
     """The car as a camera behind it on the left sees it, with the noise of an image."""
     eye = np.array([-9.0, 4.0, 1.8])
     views = eye - cloud.points
     views /= np.linalg.norm(views, axis=1, keepdims=True)
     factor = 1 - cloud.glass * (1 - windows)
-    albedo = cloud.painted(np.full(3, paint)) * (factor - cloud.rim * (1 - rims))[:, None]
+    albedo = cloud.painted(np.broadcast_to(paint, 3)) * (factor - cloud.rim * (1 - rims))[:, None]
     heights = cloud.points[:, 2]
     colour = shade(albedo, cloud.gloss * factor, cloud.normals, heights, views, light)
     colour += np.random.default_rng(1).normal(0.0, 0.01, colour.shape)
@@ -63,7 +68,7 @@ def test_unseen_parts_continue_the_brightness(
     cloud: SurfaceCloud, observation: Observation, name: str, level: float
 ) -> None:
     """In the shade and in daylight the flank that nobody saw is as bright as it was."""
-    true = Daylight(level, np.full(3, level))
+    true = Daylight(level, level)
     seen = photographed(cloud, PAINTS[name], true)
     light, paint = estimate_light(cloud, [seen], under(observation, level))
     unseen = (cloud.paint > 0.9) & (cloud.normals[:, 1] < -0.8)
@@ -76,23 +81,41 @@ def test_unseen_parts_continue_the_brightness(
 
 
 def test_white_in_the_shade_is_not_grey(cloud: SurfaceCloud, observation: Observation) -> None:
-    dim = Daylight(0.4, np.full(3, 0.4))
+    dim = Daylight(0.4, 0.4)
     seen = photographed(cloud, PAINTS["white"], dim)
     light, paint = estimate_light(cloud, [seen], under(observation, 0.4))
     assert light.level < 0.75
     assert linear_to_gamma(paint).min() > 0.68
 
 
+@pytest.mark.parametrize("clouds", [0.0, 1.0])
+@pytest.mark.parametrize(
+    "srgb", [(0.25, 0.25, 0.27), (0.27, 0.25, 0.23), (0.08, 0.08, 0.09), (0.5, 0.1, 0.1)]
+)
+def test_paint_and_sky_are_told_apart(
+    cloud: SurfaceCloud, observation: Observation, clouds: float, srgb: tuple[float, float, float]
+) -> None:
+    """A grey car under clouds does not turn brown, nor a brown one under a blue sky grey."""
+    paint = gamma_to_linear(np.array(srgb))
+    seen = photographed(cloud, paint, Daylight(clouds=clouds))
+    light, found = estimate_light(cloud, [seen], observation)
+    assert abs(light.clouds - clouds) < 0.35
+    pair = np.array([[linear_to_gamma(found), srgb]], np.float32)
+    lab = cv2.cvtColor(pair, cv2.COLOR_RGB2LAB)[0]
+    assert np.linalg.norm(lab[0] - lab[1]) < 5.0
+
+
 def test_road_tells_the_light(observation: Observation) -> None:
-    levels = [road_level(under(observation, level)) for level in (0.3, 0.6, 1.0)]
+    levels = [road_level(road_light(under(observation, level))) for level in (0.3, 0.6, 1.0)]
     assert levels == sorted(levels)
     assert levels[2] == pytest.approx(1.0, abs=0.2)
     cut_out = observation.rgba * (observation.rgba[..., 3:] > 0)
-    assert road_level(replace(observation, rgba=cut_out)) == 1.0  # nothing to see is not night
+    nothing = road_light(replace(observation, rgba=cut_out))
+    assert (road_level(nothing), road_tint(nothing)) == (1.0, (1.0, 1.0, 1.0))  # not night
 
 
 def test_windows_and_rims_are_as_dark_as_seen(cloud: SurfaceCloud) -> None:
-    day = Daylight(1.0, np.ones(3))
+    day = Daylight()
     assert estimate_rims(cloud, [photographed(cloud, 0.4, day)], day) > 0.8
     assert estimate_rims(cloud, [photographed(cloud, 0.4, day, rims=0.3)], day) < 0.45
     assert estimate_windows(cloud, [photographed(cloud, 0.4, day)], day) > 0.9

@@ -9,15 +9,9 @@ from recast.actors import Asset, Observation, TemplateGenerator, turntable
 from recast.actors.actor import Actor
 from recast.actors.icp import outer_surface
 from recast.actors.template.body import TemplateBody
-from recast.actors.template.cloud import (
-    build_cloud,
-    fit_harmonics,
-    gradient,
-    sample,
-    sh_basis,
-    shade,
-)
+from recast.actors.template.cloud import build_cloud, gradient, sample
 from recast.actors.template.design import STYLES, candidate_styles
+from recast.actors.template.lighting import fit_harmonics, sh_basis, shade
 from recast.actors.template.materials import TemplateMaterial, label_body
 from recast.actors.template.proportions import fit_shape
 from recast.scene.actor import look_at

@@ -11,8 +11,8 @@ import torch
 from recast.actors import Observation, TemplateGenerator
 from recast.actors.observe import observation_of_view
 from recast.actors.template.design import STYLES
-from recast.actors.template.generator import SurfaceView, balanced, blended
 from recast.actors.template.proportions import FITTED, _Problem, contour, fit_shape
+from recast.actors.template.texture import SurfaceView, balanced, blended
 from recast.cameras import PinholeCamera
 from recast.geometry.colour import gamma_to_linear, linear_to_gamma
 from recast.scene.actor import look_at

@@ -10,7 +10,8 @@ import torch
 from recast.actors.template.body import TemplateBody
 from recast.actors.template.cloud import build_cloud
 from recast.actors.template.design import STYLES
-from recast.actors.template.generator import TemplateTexture, _gaussians
+from recast.actors.template.generator import _gaussians
+from recast.actors.template.texture import TemplateTexture
 from recast.cameras import PinholeCamera
 from recast.geometry import se3
 from recast.geometry.colour import gamma_to_linear

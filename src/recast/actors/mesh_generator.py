@@ -26,15 +26,13 @@ from recast.actors.mesh_obj import files_of_obj, read_obj
 from recast.actors.observation import Observation
 from recast.actors.template.cloud import (
     COVERAGE,
-    Daylight,
-    fit_harmonics,
     flat_gaussians,
     group_means,
     group_patches,
-    road_level,
     shell_groups,
     tangents,
 )
+from recast.actors.template.lighting import Daylight, fit_harmonics, road_level, road_light
 from recast.arrays import Int64Array
 from recast.core.errors import InputError
 from recast.geometry import se3
@@ -372,8 +370,8 @@ class MeshGenerator(BaseGenerator):
         standing = replace(
             seen.samples, points=seen.samples.points @ turn.T, normals=seen.samples.normals @ turn.T
         )
-        level = road_level(observation)
-        made = surfels(replace(seen, samples=standing), Daylight(level, np.full(3, level)))
+        level = road_level(road_light(observation))
+        made = surfels(replace(seen, samples=standing), Daylight(level, level))
         extent = " x ".join(f"{side / unit:.4g}" for side in np.ptp(standing.points, axis=0))
         details |= {
             "scale": f"{extent} units, z up; {unit:.4g} m a unit makes it as long as the box",
@@ -404,7 +402,7 @@ def surfels(vehicle: Outside, light: Daylight) -> Gaussians:
     """Flat Gaussians of samples in metres, z up, in daylight.
 
     Samples of a voxel that look alike become one Gaussian, as wide as they are together
-    (`template.cloud.flat_gaussians`); light is baked as into a template (`template.cloud`).
+    (`template.cloud.flat_gaussians`); light is baked as into a template (`template.lighting`).
     Squares of edge e side by side, each a Gaussian of deviation c e / sqrt(12), overlap
     n = 2 pi c^2 / 12 times. A Gaussian of opacity o takes n Li2(o) from the logarithm of what a
     square lets through (the integral of -log(1 - o exp(-r^2 / 2)) is 2 pi Li2(o)), so that for

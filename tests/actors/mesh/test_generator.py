@@ -13,7 +13,7 @@ import recast.actors.mesh_generator as making
 from recast.actors import MeshGenerator, Observation, register
 from recast.actors.mesh_generator import Outside, outside, sample, surfels
 from recast.actors.mesh_gltf import Glow, MeshMaterial, Triangles
-from recast.actors.template.cloud import CLEAR_DAY
+from recast.actors.template.lighting import CLEAR_DAY
 from recast.core.errors import InputError
 from recast.geometry.colour import linear_to_gamma
 from recast.logs import DrivingLog
