@@ -12,7 +12,7 @@ from recast.actors.template.body import TemplateBody
 from recast.actors.template.cloud import build_cloud, gradient, sample
 from recast.actors.template.design import STYLES, candidate_styles
 from recast.actors.template.lighting import fit_harmonics, sh_basis, shade
-from recast.actors.template.materials import TemplateMaterial, label_body
+from recast.actors.template.materials import PART_OF_MATERIAL, VehiclePart, label_body
 from recast.actors.template.proportions import fit_shape
 from recast.scene.actor import look_at
 from recast.splats import Gaussians, rasterize
@@ -46,7 +46,7 @@ def test_every_style_fills_its_box(style: str) -> None:
     assert 0.05 < points[:, 2].min() < 0.5
     np.testing.assert_allclose(np.linalg.norm(normals, axis=1), 1.0)
     labels = label_body(body, points, normals)
-    glass = points[labels == TemplateMaterial.GLASS]
+    glass = points[PART_OF_MATERIAL[labels] == VehiclePart.GLASS]
     assert len(glass) > 0.02 * len(points)
     assert glass[:, 2].min() > 0.3 * size[2]
 
