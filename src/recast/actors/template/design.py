@@ -124,7 +124,7 @@ class RearDesign:
         plate_z: middle of the number plate, on the gate if above `bumper_z`.
         bumper_z: upper edge of the bumper.
         apron_z: upper edge of its black lower part.
-        window_width: half width of the rear window, a share of what fits.
+        window_width: half width of the rear window, a share of what fits; the least means none.
         window_low: lower edge of the rear window, metres above the panel's lower edge.
         spoiler: whether a spoiler darkens the upper edge of the rear window.
         exhaust: tail pipes that show.
@@ -222,17 +222,17 @@ class VehicleDesign:
 # front_axle_x, rear_axle_x; clearance_z, wheel_radius, tumblehome; nose_bow, tail_bow; nose_lean,
 # tail_lean; edge_radius
 _BODIES = {
-    "sedan": """0.50 0.29 0.665 0.44 0.67 0.965 0.835 0.715 0.67 0.69
-        0.185 0.795 0.13 0.32 0.17 0.24 0.14 0.10 0.08 0.14""",
-    "hatchback": """0.49 0.245 0.645 0.41 0.855 0.93 0.955 0.665 0.62 0.69
-        0.185 0.81 0.13 0.315 0.17 0.24 0.14 0.10 0.04 0.14""",
-    "estate": """0.50 0.285 0.66 0.43 0.875 0.935 0.975 0.675 0.65 0.69
-        0.185 0.79 0.13 0.32 0.17 0.24 0.14 0.10 0.04 0.14""",
+    "sedan": """0.525 0.285 0.67 0.44 0.67 0.965 0.835 0.715 0.67 0.69
+        0.19 0.795 0.125 0.33 0.17 0.24 0.14 0.075 0.08 0.14""",
+    "hatchback": """0.525 0.245 0.655 0.41 0.855 0.93 0.955 0.665 0.62 0.69
+        0.19 0.815 0.125 0.32 0.17 0.24 0.14 0.075 0.04 0.14""",
+    "estate": """0.525 0.28 0.665 0.43 0.875 0.935 0.975 0.675 0.65 0.69
+        0.19 0.79 0.125 0.33 0.17 0.24 0.14 0.075 0.04 0.14""",
     "mpv": """0.51 0.185 0.625 0.355 0.90 0.955 0.975 0.62 0.58 0.66
-        0.185 0.82 0.13 0.32 0.15 0.24 0.14 0.14 0.04 0.14""",
+        0.185 0.82 0.12 0.325 0.15 0.24 0.14 0.10 0.04 0.14""",
     "suv": """0.56 0.265 0.665 0.395 0.885 0.955 0.97 0.655 0.62 0.69
         0.185 0.795 0.17 0.365 0.15 0.20 0.14 0.05 0.04 0.13""",
-    "coupe": """0.50 0.315 0.67 0.475 0.66 0.955 0.93 0.735 0.70 0.74
+    "coupe": """0.52 0.315 0.67 0.475 0.66 0.955 0.93 0.735 0.70 0.74
         0.185 0.79 0.11 0.33 0.20 0.26 0.18 0.10 0.05 0.16""",
     "coupe-suv": """0.57 0.275 0.665 0.41 0.70 0.955 0.95 0.715 0.66 0.71
         0.185 0.795 0.16 0.37 0.16 0.22 0.15 0.05 0.05 0.14""",
@@ -408,7 +408,7 @@ def _design(style: str, size: Array, rng: np.random.Generator | None) -> Vehicle
         tail, low, top, inner, 0.06 if working else 0.20,
         indicator=pick(named(RearDesign, "indicator"), (2 + 4 * (age < 0.4), 2, 4 * age)),
         plate_z=face[3], bumper_z=face[4], apron_z=face[5],
-        window_width=0.80 if working else 0.95, window_low=0.03,
+        window_width=0.6 if style == "truck" else 0.80 if working else 0.95, window_low=0.03,
         spoiler=chance(0.7 if style not in ("sedan", "coupe", "pickup") and not working else 0.0),
         exhaust=pick(named(RearDesign, "exhaust"), (3.0, 2.5, 3.5 * price)),
         chrome=chance(0.25 + 0.5 * price),

@@ -84,18 +84,18 @@ _FINISHES = {
     _M.TYRE: ((0.13, 0.13, 0.135), 0.1, 0.0, _P.WHEEL),
     _M.ALLOY: ((0.66, 0.67, 0.69), 1.2, 0.0, _P.WHEEL),
     _M.CHROME: ((0.72, 0.73, 0.75), 3.0, 0.0, _P.TRIM),
-    _M.LAMP: ((0.66, 0.68, 0.70), 1.5, 0.0, _P.HEAD_LAMP),
+    _M.LAMP: ((0.54, 0.57, 0.60), 1.6, 0.0, _P.HEAD_LAMP),
     _M.LAMP_CORE: ((0.96, 0.97, 0.98), 0.6, 0.0, _P.HEAD_LAMP),
     _M.AMBER: ((0.80, 0.48, 0.20), 1.0, 0.0, _P.HEAD_LAMP),
     _M.RED: ((0.55, 0.05, 0.05), 1.0, 0.0, _P.TAIL_LAMP),
     _M.RED_CORE: ((0.80, 0.12, 0.10), 0.6, 0.0, _P.TAIL_LAMP),
     _M.PLATE: ((0.90, 0.90, 0.88), 0.2, 0.0, _P.PLATE),
-    _M.INK: ((0.13, 0.13, 0.15), 0.2, 0.0, _P.PLATE),
+    _M.INK: ((0.20, 0.20, 0.23), 0.2, 0.0, _P.PLATE),
     _M.PLATE_BAND: ((0.10, 0.20, 0.60), 0.2, 0.0, _P.PLATE),
     _M.DARK: ((0.03, 0.03, 0.03), 0.0, 0.0, _P.DARK),
     _M.GRILLE: ((0.08, 0.08, 0.085), 0.3, 0.0, _P.GRILLE),
     _M.HANDLE: ((0.40, 0.41, 0.43), 2.0, 1.0, _P.PAINT),  # paint too, see `PAINTED`
-    _M.SCREEN: ((0.27, 0.29, 0.30), 3.6, 0.0, _P.GLASS),  # the dashboard shows, and the sky
+    _M.SCREEN: ((0.32, 0.34, 0.35), 3.8, 0.0, _P.GLASS),  # the dashboard shows, and the sky
     _M.DARK_GLASS: ((0.07, 0.07, 0.075), 2.6, 0.0, _P.GLASS),
     _M.LAMP_FRAME: ((0.10, 0.10, 0.11), 1.2, 0.0, _P.HEAD_LAMP),
     _M.RED_FRAME: ((0.16, 0.03, 0.03), 0.8, 0.0, _P.TAIL_LAMP),
@@ -161,7 +161,7 @@ def _plate(
     """A number plate at `height`: frame, white field, blue band and strokes for characters."""
     w, h = size
     v = z - height
-    labels[where & (np.abs(y) < w / 2 + 0.014) & (np.abs(v) < h / 2 + 0.014)] = _M.TRIM
+    labels[where & (np.abs(y) < w / 2 + 0.009) & (np.abs(v) < h / 2 + 0.009)] = _M.DARK_BAR
     field = where & (np.abs(y) < w / 2) & (np.abs(v) < h / 2)
     labels[field] = _M.PLATE
     u = y / (w / 2)
