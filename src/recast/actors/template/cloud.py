@@ -17,6 +17,7 @@ from recast.actors.template.materials import (
     GLASS,
     GLOSS,
     PAINTED,
+    PART_OF_MATERIAL,
     RIM,
     SRGB,
     TemplateMaterial,
@@ -104,6 +105,7 @@ class SurfaceCloud:
     paint: Array
     glass: Array
     rim: Array
+    part: Int64Array  # (N,) `VehiclePart`
     twin: Int64Array  # (N,) index of the patch mirrored at the xz plane
     # (N,) whether the patch belongs to the body, not to a wheel or mirror.
     on_body: NDArray[np.bool_]
@@ -146,10 +148,10 @@ def build_cloud(body: TemplateBody, spacing: float, rng: np.random.Generator) ->
 
 
 def _look(labels: Int64Array) -> tuple[Array, ...]:
-    """Albedo, gloss, and the shares of paint, window and rim."""
+    """Albedo, gloss, the shares of paint, window and rim, and the part."""
     paint = PAINTED[labels]
     albedo: Array = gamma_to_linear(SRGB)[labels] * (1 - paint)[..., None]
-    return albedo, GLOSS[labels], paint, GLASS[labels], RIM[labels]
+    return albedo, GLOSS[labels], paint, GLASS[labels], RIM[labels], PART_OF_MATERIAL[labels]
 
 
 def _children(points: Array, normals: Array, spacing: Array) -> Array:
@@ -164,9 +166,10 @@ def _children(points: Array, normals: Array, spacing: Array) -> Array:
 def _appearance(
     points: Array, normals: Array, spacing: Array, labeller: Labeller
 ) -> tuple[Array, ...]:
-    """What `_look` gives, averaged over the quarters of each patch."""
+    """What `_look` gives, averaged over the quarters of each patch; the part is the first's."""
     looks = [_look(labeller(quarter, normals)) for quarter in _children(points, normals, spacing)]
-    return tuple(np.mean(values, axis=0) for values in zip(*looks, strict=True))
+    *numbers, parts = zip(*looks, strict=True)
+    return *(np.mean(values, axis=0) for values in numbers), parts[0]
 
 
 def _refined(

@@ -28,15 +28,28 @@ from recast.actors.template.lighting import (
     estimate_windows,
     fit_harmonics,
     sh_basis,
+    shade,
+)
+from recast.actors.template.materials import VehiclePart
+from recast.actors.template.parts import (
+    PartEvidence,
+    accepted,
+    fit_parts,
+    paint_colour,
+    seen_patches,
+    settled,
 )
 from recast.actors.template.proportions import (
     ShapeFit,
+    Silhouette,
+    TemplatePlacement,
     contour,
     find_axles,
     fit_shape,
     place,
 )
 from recast.actors.template.texture import (
+    SurfaceView,
     TemplateTexture,
     balanced,
     blended,
@@ -50,7 +63,10 @@ from recast.splats.sh import C0
 
 _OPACITY = 0.99
 _STYLES = 3  # offered to choose from
-_SKETCH_SPACING = 0.024  # metres: enough for a silhouette
+_WHEEL_REACH = 1.45  # wheel radii about an axle within which a photograph may show the wheel
+_SAME_COLOUR = 0.12  # display values
+_ROUNDS = 2  # of parts and placement, each with the other
+_SKETCH_SPACING = 0.035  # metres: enough for a silhouette
 _CELLS = (0.055, 0.03)  # metres: patches that look alike are merged in voxels of these edges
 _TOLERANCE = 0.03  # display values
 _BACKING_DEPTH = 0.05  # metres behind the surface
@@ -101,12 +117,7 @@ class TemplateGenerator(BaseGenerator):
         rng = np.random.default_rng(seed)
         size = observation.size
         fit = _fit(observation, rng, self.style)
-        body = TemplateBody(size, fit.design)
-        coarse = max(self.spacing, _SKETCH_SPACING)
-        sketch = build_cloud(body, coarse, rng).points
-        lidar = np.asarray(observation.points, np.float64)
-        placements = place(body, sketch, coarse, observation, lidar[:: max(1, len(lidar) // 1200)])
-        body = TemplateBody(size, find_axles(body, observation, placements))
+        body, placements = _placed(observation, fit, max(self.spacing, _SKETCH_SPACING), rng)
         cloud = build_cloud(body, self.spacing, rng)
         views = balanced(
             [
@@ -114,11 +125,14 @@ class TemplateGenerator(BaseGenerator):
                 for view, placement in zip(observation.views, placements, strict=True)
             ]
         )
-        seen = blended(views)
         light, paint = estimate_light(cloud, views, observation)
-        windows, rims = estimate_windows(cloud, views, light), estimate_rims(cloud, views, light)
-        dyed = cloud.albedo * (1 - cloud.glass * (1 - windows) - cloud.rim * (1 - rims))[:, None]
-        cloud = replace(cloud, albedo=dyed, gloss=cloud.gloss * (1 - cloud.glass * (1 - windows)))
+        for _ in range(2):  # what is no paint does not tell the paint
+            views = _consistent(body, cloud, views, paint, light)
+            light, paint = estimate_light(cloud, views, observation)
+        seen = blended(views)
+        panes, rims = estimate_windows(cloud, views, light), estimate_rims(cloud, views, light)
+        dyed = cloud.albedo * (1 - cloud.glass * (1 - panes[0]) - cloud.rim * (1 - rims))[:, None]
+        cloud = replace(cloud, albedo=dyed, gloss=cloud.gloss * (1 - cloud.glass * (1 - panes[1])))
         gaussians = _gaussians(body, cloud, paint, mirrored_texture(cloud, seen), light)
         shift = gaussians.means.new_tensor([0.0, 0.0, -size[2] / 2])
         distance = fit.median_distance
@@ -136,7 +150,7 @@ class TemplateGenerator(BaseGenerator):
                 "mirrored": round(light.mirror, 3),
                 "clouds": round(light.clouds, 3),
                 "tint": " ".join(f"{v:.3f}" for v in light.tint),
-                "windows": round(windows, 3),
+                "windows": " ".join(f"{v:.3f}" for v in panes),
                 "rims": round(rims, 3),
                 **measured,
                 "silhouette_overlap": round(float(np.mean([one.overlap for one in placements])), 4),
@@ -144,6 +158,70 @@ class TemplateGenerator(BaseGenerator):
             },
             low_pass=MIP,  # far away, thousands of small discs would grow by the filter of 3DGS
         )
+
+
+def _placed(
+    observation: Observation, fit: ShapeFit, spacing: float, rng: np.random.Generator
+) -> tuple[TemplateBody, tuple[TemplatePlacement, ...]]:
+    """The body with its parts where the views show them, and its placement in each view."""
+    size = observation.size
+    body = TemplateBody(size, fit.design)
+    sketch = build_cloud(body, spacing, rng)
+    lidar = np.asarray(observation.points, np.float64)[:: max(1, len(observation.points) // 1200)]
+    placements = place(body, sketch.points, spacing, observation, lidar)
+    silhouettes = [Silhouette(view, sketch.points, spacing) for view in observation.views]
+    for _ in range(_ROUNDS):
+        views = [
+            view_surface(sketch, view, placement)
+            for view, placement in zip(observation.views, placements, strict=True)
+        ]
+        paint = paint_colour(views, sketch.on_body & (sketch.part == VehiclePart.PAINT))
+        evidence = [PartEvidence.of(view, paint) for view in observation.views]
+        seen = [
+            seen_patches(sketch, *each) for each in zip(views, evidence, placements, strict=True)
+        ]
+        body = TemplateBody(size, find_axles(body, observation, placements))
+        body = fit_parts(body, seen, fit.design)
+        placements = tuple(
+            settled(placement, patches, body, shown, silhouette.overlap_of)
+            for placement, patches, shown, silhouette in zip(
+                placements, seen, evidence, silhouettes, strict=True
+            )
+        )
+    return body, placements
+
+
+def _consistent(
+    body: TemplateBody,
+    cloud: SurfaceCloud,
+    views: Sequence[SurfaceView],
+    paint: Array,
+    light: Daylight,
+) -> list[SurfaceView]:
+    """The views without patches that show another part.
+
+    The first view is believed but around the wheels, whose place and size are never quite right;
+    of the others, what contradicts both the model and the first view is left out.
+    """
+    x, _, z = cloud.points.T
+    arches = np.min([np.hypot(x - a, z - body.wheel_radius) for a in body.axles], axis=0)
+    near_wheels = arches < _WHEEL_REACH * body.wheel_radius
+    first = views[0]
+    kept = []
+    for view in views:
+        apart = np.linalg.norm(view.colour - first.colour, axis=1)
+        same = (first.weight > 0.5) & (apart < _SAME_COLOUR)
+        strict = near_wheels | ((view is not first) & ~same)
+        modelled = _modelled(cloud, paint, light, view)
+        kept.append(accepted(view, cloud.part, modelled, strict))
+    return kept
+
+
+def _modelled(cloud: SurfaceCloud, paint: Array, light: Daylight, view: SurfaceView) -> Array:
+    """Display colours (N, 3) of paint on every patch, as a view's camera would see it."""
+    count = len(cloud.points)
+    albedo = np.broadcast_to(paint, (count, 3))
+    return shade(albedo, np.ones(count), cloud.normals, cloud.points[:, 2], view.views, light)
 
 
 def _fit(observation: Observation, rng: np.random.Generator, style: str | None) -> ShapeFit:

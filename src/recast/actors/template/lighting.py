@@ -43,11 +43,16 @@ _LEVEL = (0.2, 1.6)
 _BRIGHTEST_ROAD = 0.6  # linear light
 _WHITEST = 0.80  # reflectance of white paint: the light must explain at least that
 _BLACKEST = 0.008  # reflectance of black paint, mirrored light left out
+_LEAST_MIRROR = 0.5  # of the level; less is the shading's misfit, not a coat without gloss
 _MIRROR_SPREAD = 0.35  # of the mirrored light's factor around the level
 _CHROMA_SPREAD = 0.06  # of the paint's channels: four in five cars are white, grey or black
+_CLIPPED = 0.97  # display value from which a channel may be saturated
 _MISFIT = 0.15  # the model's shading is off by this share of the paint's brightness
 _EFFECTIVE = 40.0  # independent measurements among the patches, however many there are
 _FEW = 50
+_PANES = (0.6, 0.55), (0.4, 0.25)  # usual factors of panes and their spread
+_PANE_LIMITS = (0.1, 0.15), (1.5, 1.3)
+_PANE_NOISE = 0.03  # linear light: what shows through a pane
 
 
 @dataclass(frozen=True)
@@ -168,6 +173,9 @@ def estimate_light(
     level = road_level(road)
     tint = road_tint(road)
     painted, colour, views = shown_patches(seen, cloud.paint > 0.9)
+    lively = colour.max(axis=1) < _CLIPPED  # a sunlit white says only that it is white
+    if lively.mean() > 0.3:
+        painted, colour, views = painted[lively], colour[lively], views[lively]
     if len(painted) < _FEW:
         return Daylight(level, level, 0.5, tint), gamma_to_linear(SRGB[TemplateMaterial.PAINT])
     normals, heights = cloud.normals[painted], cloud.points[painted, 2]
@@ -176,8 +184,9 @@ def estimate_light(
     skies = [mirrored(normals, views, cloud.gloss[painted], clouds) for clouds in (0.0, 1.0)]
     radiance, (clear, cloudy) = _split(found, across, skies[0], skies[1], level)
     level = max(level, float(radiance.mean()) / _WHITEST)
-    mirror = float(clear + cloudy)
-    light = Daylight(level, mirror, float(cloudy) / max(mirror, 1e-9), tint)
+    total = float(clear + cloudy)
+    mirror = float(np.clip(total, _LEAST_MIRROR * level, 2 * level))
+    light = Daylight(level, mirror, float(cloudy) / total if total > 0 else 0.5, tint)
     return light, np.clip(radiance / level, _BLACKEST, 0.9)
 
 
@@ -267,14 +276,34 @@ def _road(observation: Observation) -> Array:
     return light if light.mean() < _BRIGHTEST_ROAD else np.full(3, np.nan)
 
 
-def estimate_windows(cloud: SurfaceCloud, seen: Sequence[SurfaceView], light: Daylight) -> float:
-    """Brightness of the windows seen over the model's, 0.1 to 1; 0.3 where none is seen.
+def estimate_windows(
+    cloud: SurfaceCloud, seen: Sequence[SurfaceView], light: Daylight
+) -> tuple[float, float]:
+    """How bright panes are: factors on the model's diffuse and on its mirrored light.
 
-    The photographed panes are not quite where the model has its own, and paint is seldom darker
-    than glass: the darkest quarter counts.
+    Behind a pane lies the interior, and on it the sky: a windscreen, which leans, is bright where
+    the side windows beside it are dark. Both factors are fitted to the panes seen (Huber), near
+    what is usual where few are.
     """
-    ratio = _ratio(cloud, seen, light, cloud.glass > 0.9, (0.25, 0.25), usual=0.3)
-    return float(np.clip(ratio, 0.1, 1.0))
+    chosen, colour, views = shown_patches(seen, cloud.glass > 0.9)
+    usual, spread = _PANES
+    if len(chosen) == 0:
+        return usual
+    normals, heights = cloud.normals[chosen], cloud.points[chosen, 2]
+    args = cloud.gloss[chosen], normals, heights, views
+    inside = shade(cloud.albedo[chosen], np.zeros(len(chosen)), *args[1:], light)
+    sky = shade(np.zeros((len(chosen), 3)), *args, light)
+    basis = np.stack([gamma_to_linear(one).mean(axis=1) for one in (inside, sky)], axis=-1)
+    found = gamma_to_linear(colour).mean(axis=1)
+    answer, weight = np.array(usual), np.ones(len(found))
+    prior = np.diag(1 / np.square(spread))
+    for _ in range(8):
+        share = weight * min(_EFFECTIVE / len(found), 1.0) / _PANE_NOISE**2
+        normal = basis.T @ (share[:, None] * basis) + prior
+        answer = np.linalg.solve(normal, basis.T @ (share * found) + prior @ usual)
+        weight = 1 / np.maximum(np.abs(found - basis @ answer) / _PANE_NOISE, 1.0)
+    inside_factor, sky_factor = np.clip(answer, *_PANE_LIMITS)
+    return float(inside_factor), float(sky_factor)
 
 
 def estimate_rims(cloud: SurfaceCloud, seen: Sequence[SurfaceView], light: Daylight) -> float:

@@ -130,6 +130,35 @@ _LINE = 0.005  # metres: half width of shut lines
 _BENT = 0.8  # arc around a corner over the distance behind the bumper
 
 
+class VehiclePart(IntEnum):
+    """What a patch belongs to, as far as its colour tells."""
+
+    PAINT = 0
+    GLASS = 1
+    DARK = 2
+    RED = 3
+    CLEAR = 4
+    PLATE = 5
+
+
+_DARK = VehiclePart.DARK
+_PARTS = {
+    TemplateMaterial.PAINT: VehiclePart.PAINT,
+    TemplateMaterial.HANDLE: VehiclePart.PAINT,
+    TemplateMaterial.GLASS: VehiclePart.GLASS,
+    TemplateMaterial.RED: VehiclePart.RED,
+    TemplateMaterial.RED_CORE: VehiclePart.RED,
+    TemplateMaterial.AMBER: VehiclePart.RED,
+    TemplateMaterial.LAMP: VehiclePart.CLEAR,
+    TemplateMaterial.LAMP_CORE: VehiclePart.CLEAR,
+    TemplateMaterial.CHROME: VehiclePart.CLEAR,
+    TemplateMaterial.PLATE: VehiclePart.PLATE,
+    TemplateMaterial.PLATE_BAND: VehiclePart.PLATE,
+}
+PART_OF_MATERIAL = np.array([_PARTS.get(m, _DARK) for m in TemplateMaterial])
+"""(materials,) part of each material."""
+
+
 def label_body(body: TemplateBody, points: Array, normals: Array) -> Int64Array:
     """Materials (N,) of body surface points (N, 3) with outward normals (N, 3)."""
     panels = body.panels(points)

@@ -14,6 +14,7 @@ from scipy.optimize import least_squares
 from recast.actors.observation import Observation, crossing
 from recast.actors.place import minimum
 from recast.actors.template.body import TemplateBody
+from recast.actors.template.cloud import ramp
 from recast.actors.template.design import STYLES, VehicleDesign, candidate_styles
 from recast.arrays import Array, Mask
 from recast.geometry import se3
@@ -216,14 +217,15 @@ class TemplatePlacement:
     stretch: Array  # (3,) along, across, up
     shift: Array  # (3,) metres
     overlap: float  # intersection over union of the model's silhouette with the mask
+    yaw: float = 0.0  # turn about the vertical after the stretch, radians
 
     def points(self, points: Array) -> Array:
         """Model points (N, 3) in the box frame."""
-        return points * self.stretch + self.shift
+        return (points * self.stretch) @ se3.rotation_z(self.yaw).T + self.shift
 
     def normals(self, normals: Array) -> Array:
         """Unit normals (N, 3) after the map."""
-        turned = normals / self.stretch
+        turned = (normals / self.stretch) @ se3.rotation_z(self.yaw).T
         return turned / np.linalg.norm(turned, axis=1, keepdims=True)
 
 
@@ -244,7 +246,7 @@ def place(
     Returns:
         The placement for each of the observation's views.
     """
-    outlines = [_Outline(view, surface, spacing) for view in observation.views]
+    outlines = [Silhouette(view, surface, spacing) for view in observation.views]
     sizes = np.array([view.view.size_px for view in observation.views])
     shares = sizes**2 / np.sum(sizes**2)  # the finer a mask, the more its outline tells
     base = np.array([0.0, 0.0, -observation.size[2] / 2])
@@ -266,7 +268,7 @@ def place(
     return (first, *(one.placement(stretch, shift) for one in outlines[1:]))
 
 
-class _Outline:
+class Silhouette:
     """The silhouette of the model against the mask of one view."""
 
     def __init__(self, view: Observation, surface: Array, spacing: float) -> None:
@@ -281,7 +283,11 @@ class _Outline:
 
     def overlap(self, stretch: Array, shift: Array) -> float:
         """Intersection over union of the placed model's silhouette with the mask."""
-        placed = se3.apply(self._view.camera_from_object, self._surface * stretch + shift)
+        return self.overlap_of(TemplatePlacement(stretch, shift, 0.0))
+
+    def overlap_of(self, placement: TemplatePlacement) -> float:
+        """The same of a placement that may be turned."""
+        placed = se3.apply(self._view.camera_from_object, placement.points(self._surface))
         pixels, _ = self._view.camera.project(placed)
         return overlap(silhouette(pixels / self._cell, self._mask.shape), self._mask)
 
@@ -314,55 +320,75 @@ def overlap(first: Mask, second: Mask) -> float:
 def find_axles(
     body: TemplateBody, observation: Observation, placements: Sequence[TemplatePlacement]
 ) -> VehicleDesign:
-    """The design with the axles where the photographs show wheels.
+    """The design with axles and wheels where the photographs show them, and as large.
 
     A wheel is a bright rim in a dark tyre: the place along the side, within 0.07 lengths of the
-    usual one, where rim and tyre differ most, in the view that shows it most clearly. Unclear or
-    hidden wheels keep their place.
+    usual one, and the radius at which rim and tyre differ most. A view counts the more, the more
+    squarely it shows the side, and only if the contrast falls to both sides of the best place: a
+    wheel that is seen from ahead is a dark bar anywhere. Unclear or hidden wheels keep their place.
     """
     found: dict[str, Any] = {}
+    radii = []
     for name in ("front_axle_x", "rear_axle_x"):
         usual = getattr(body.design.proportions, name)
-        seen = [
+        clear = [
             _clearest(body, view, placement, usual)
             for view, placement in zip(observation.views, placements, strict=True)
         ]
-        contrast, place = max(seen)
-        found[name] = place if contrast > 0.8 else usual
+        contrast, place, radius = max(clear)
+        if contrast > _CLEAR_WHEEL:
+            found[name] = place
+            radii.append(radius)
+    if radii:
+        found["wheel_radius"] = float(np.mean(radii))
     return replace(body.design, proportions=replace(body.design.proportions, **found))
+
+
+_CLEAR_WHEEL = 0.8  # contrast of rim and tyre, in deviations within the tyre
+_SQUARE = 0.15, 0.45  # sine of the angle to the side: from hardly seen to seen well
+_RADII = (0.9, 1.0, 1.1)
 
 
 def _clearest(
     body: TemplateBody, view: Observation, placement: TemplatePlacement, usual: float
-) -> tuple[float, float]:
-    """Contrast of rim and tyre where one view shows a wheel best, and where: see `find_axles`."""
+) -> tuple[float, float, float]:
+    """Contrast of rim and tyre where one view shows a wheel best, place and radius there."""
     side = np.sign(view.eye[1])
-    eye_across = abs(view.eye[1]) - view.size[1] / 2
-    if eye_across / np.linalg.norm(view.eye) < 0.15:
-        return 0.0, usual
+    squareness = (abs(view.eye[1]) - view.size[1] / 2) / np.linalg.norm(view.eye)
+    nothing = 0.0, usual, body.wheel_radius
+    trust = float(ramp(np.array(squareness), *_SQUARE))
+    if trust == 0:
+        return nothing
     grey = cv2.cvtColor(view.rgba[..., :3], cv2.COLOR_RGB2GRAY).astype(np.float32)
-    angle, radius = np.meshgrid(
+    angle, share = np.meshgrid(
         np.linspace(0, 2 * np.pi, 48, endpoint=False), np.linspace(0.1, 0.97, 14)
     )
-    rim, tyre = radius.ravel() < 0.62, radius.ravel() > 0.76
+    rim, tyre = share.ravel() < 0.62, share.ravel() > 0.76
     candidates = usual + np.linspace(-0.07, 0.07, 29)
-    scores = []
-    for fraction in candidates:
-        disc = np.stack(
-            [
-                body.x_at(fraction) + body.wheel_radius * (radius * np.cos(angle)).ravel(),
-                np.full(radius.size, side * body.width / 2),
-                body.wheel_radius * (1 + (radius * np.sin(angle)).ravel()),
-            ],
-            -1,
-        )
-        pixels, _ = view.camera.project(se3.apply(view.camera_from_object, placement.points(disc)))
-        u, v = (pixels - 0.5).astype(np.float32).T
-        values = cv2.remap(grey, u[None], v[None], cv2.INTER_LINEAR)[0]
-        contrast = values[rim].mean() - values[tyre].mean()
-        scores.append(contrast / (values[tyre].std() + 12.0) - 0.3 * abs(fraction - usual) / 0.07)
-    best = int(np.argmax(scores))
-    return float(scores[best]), float(candidates[best])
+    scores = np.zeros((len(_RADII), len(candidates)))
+    for row, factor in enumerate(_RADII):
+        radius = factor * body.wheel_radius
+        for column, fraction in enumerate(candidates):
+            disc = np.stack(
+                [
+                    body.x_at(fraction) + radius * (share * np.cos(angle)).ravel(),
+                    np.full(share.size, side * body.width / 2),
+                    radius * (1 + (share * np.sin(angle)).ravel()),
+                ],
+                -1,
+            )
+            placed = se3.apply(view.camera_from_object, placement.points(disc))
+            pixels, _ = view.camera.project(placed)
+            u, v = (pixels - 0.5).astype(np.float32).T
+            values = cv2.remap(grey, u[None], v[None], cv2.INTER_LINEAR)[0]
+            contrast = (values[rim].mean() - values[tyre].mean()) / (values[tyre].std() + 12.0)
+            away = abs(fraction - usual) / 0.07 + 2 * abs(factor - 1)
+            scores[row, column] = contrast - 0.3 * away
+    row, column = (int(i) for i in np.unravel_index(int(np.argmax(scores)), scores.shape))
+    if column in (0, len(candidates) - 1):  # still rising: no wheel is centred there
+        return nothing
+    radius = _RADII[row] * body.wheel_radius
+    return float(trust * scores[row, column]), float(candidates[column]), radius
 
 
 @dataclass(frozen=True)

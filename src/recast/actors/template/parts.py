@@ -1,0 +1,320 @@
+"""Which part of the vehicle a pixel shows, and the design moved to where its parts are seen.
+
+A colour alone tells parts apart: tail lamps are red, panes and grilles dark and grey, plates bright,
+and paint is what most of the body is. A design and a placement are right if the patches of each
+part lie on pixels that look like that part; and a photograph colours a patch only if it does.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, fields, is_dataclass, replace
+from functools import cache
+from typing import Any, Literal, get_args, get_origin, get_type_hints
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from recast.actors.observation import Observation
+from recast.actors.place import minimum
+from recast.actors.template.body import TemplateBody
+from recast.actors.template.cloud import SurfaceCloud
+from recast.actors.template.design import VehicleDesign
+from recast.actors.template.materials import PART_OF_MATERIAL, VehiclePart, label_body
+from recast.actors.template.proportions import TemplatePlacement
+from recast.actors.template.texture import SurfaceView
+from recast.arrays import Array, Int64Array
+from recast.geometry import se3
+
+# Mean and deviation of each part's colour, CIE Lab; paint's mean is measured.
+_COLOURS: dict[VehiclePart, tuple[tuple[float, ...], tuple[float, ...]]] = {
+    VehiclePart.PAINT: ((0, 0, 0), (20, 7, 8)),
+    VehiclePart.GLASS: ((30, 0, -1), (18, 5, 7)),
+    VehiclePart.DARK: ((14, 0, 0), (12, 6, 6)),
+    VehiclePart.RED: ((34, 40, 22), (15, 17, 14)),
+    VehiclePart.CLEAR: ((66, 0, 0), (20, 7, 8)),
+    VehiclePart.PLATE: ((72, 0, 4), (16, 7, 14)),
+}
+_CHROMA = 0.25  # by which the deviation of a paint's chroma grows with its chroma: light and shade
+_FLOOR = -8.0  # a colour that no part has says nothing about parts
+_OUTSIDE = -3.0  # log likelihood of a patch that lies beside the mask
+
+
+def to_lab(display: Array) -> Array:
+    """CIE Lab (..., 3) of display colours (..., 3) in [0, 1]."""
+    flat = np.clip(display, 0, 1).reshape(1, -1, 3).astype(np.float32)
+    return np.asarray(cv2.cvtColor(flat, cv2.COLOR_RGB2LAB), np.float64).reshape(display.shape)
+
+
+def part_likelihoods(lab: Array, paint: Array) -> Array:
+    """Log likelihoods (..., parts) of colours (..., 3) under each part; `paint` (..., 3), Lab."""
+    found = []
+    for part in VehiclePart:
+        mean, deviation = (np.array(values, np.float64) for values in _COLOURS[part])
+        if part == VehiclePart.PAINT:
+            mean = paint
+            chroma = np.linalg.norm(paint[..., 1:], axis=-1, keepdims=True)
+            deviation = deviation + _CHROMA * chroma * np.array([0.0, 1.0, 1.0])
+        apart = (lab - mean) / deviation
+        found.append(-0.5 * np.sum(apart**2, axis=-1) - np.sum(np.log(deviation), axis=-1))
+    likelihoods = np.stack(found, axis=-1)
+    return np.maximum(likelihoods, _FLOOR - 8.0)
+
+
+def accepted(
+    view: SurfaceView, part: Int64Array, modelled: Array, strict: NDArray[np.bool_]
+) -> SurfaceView:
+    """The view without what it shows of other parts, on those patches where that may happen.
+
+    Args:
+        part: (N,) part of each patch, see `VehiclePart`.
+        modelled: (N, 3) display colours of painted patches as the fitted light shows them.
+        strict: (N,) patches that must look like their own part; the others are believed.
+    """
+    likelihoods = part_likelihoods(to_lab(view.colour), to_lab(modelled))
+    own = _own(likelihoods, part)
+    np.put_along_axis(likelihoods, part[:, None], -np.inf, axis=1)
+    ahead = own - np.maximum(likelihoods.max(axis=1), _FLOOR - 6.0)
+    trust = np.clip((ahead + _TOLERANT) / _SOFT, 0.0, 1.0)
+    return replace(view, weight=view.weight * np.where(strict, trust, 1.0))
+
+
+_TOLERANT, _SOFT = 3.0, 2.0  # nats by which another part may fit better, and the way down
+
+
+@dataclass(frozen=True)
+class PartEvidence:
+    """What each pixel of one view says of parts."""
+
+    observation: Observation
+    scores: NDArray[np.float32]  # (H, W, parts) log likelihoods
+
+    @staticmethod
+    def of(observation: Observation, paint: Array) -> PartEvidence:
+        """The evidence of a view of a vehicle of such a paint (3,), CIE Lab."""
+        image = np.asarray(observation.rgba[..., :3], np.float64) / 255
+        scores = part_likelihoods(to_lab(image), paint)
+        scores -= scores.mean(axis=-1, keepdims=True)
+        scores = np.clip(scores, -6.0, 6.0)
+        scores[observation.rgba[..., 3] <= 127] = _OUTSIDE
+        return PartEvidence(observation, scores.astype(np.float32))
+
+    def sampled(self, placed: Array) -> Array:
+        """Log likelihoods (N, parts) at points (N, 3) of the box frame."""
+        to_camera = self.observation.camera_from_object
+        pixels, _ = self.observation.camera.project(se3.apply(to_camera, placed))
+        height, width = self.scores.shape[:2]
+        u, v = np.floor(pixels).astype(np.int64).T
+        inside = (u >= 0) & (u < width) & (v >= 0) & (v < height)
+        found = np.full((len(placed), len(VehiclePart)), _OUTSIDE)
+        found[inside] = self.scores[v[inside], u[inside]]
+        return found
+
+
+@dataclass(frozen=True)
+class SeenPatches:
+    """Body patches that one view shows, with what it says of them."""
+
+    points: Array  # (N, 3) model frame
+    normals: Array  # (N, 3)
+    scores: Array  # (N, parts)
+    weight: Array  # (N,) adds up to the view's share
+
+
+def fit_parts(
+    body: TemplateBody, seen: Sequence[SeenPatches], usual: VehicleDesign
+) -> TemplateBody:
+    """The body with the parts of its design where the views show them.
+
+    Every number and every choice of the design is tried at other values, in turn, and kept where
+    the patches then fit their pixels better by more than the change costs; the body's shape is
+    fitted before, by outlines and LiDAR, and is not changed.
+
+    Args:
+        body: body with the design to start from.
+        seen: patches of each view on that body.
+        usual: design that numbers are drawn to.
+    """
+    if not seen:
+        return body
+    points, normals, scores = (
+        np.concatenate([getattr(one, name) for one in seen])
+        for name in ("points", "normals", "scores")
+    )
+    weight = np.concatenate([one.weight for one in seen])
+
+    def gain(design: VehicleDesign) -> float:
+        labels = label_body(TemplateBody(body.size, design), points, normals)
+        part = PART_OF_MATERIAL[labels]
+        return float(weight @ _own(scores, part)) - _cost(design, usual)
+
+    shown = {
+        "front": weight[normals[:, 0] > 0.5].sum() > _LEAST_SHOWN * weight.sum(),
+        "rear": weight[normals[:, 0] < -0.5].sum() > _LEAST_SHOWN * weight.sum(),
+    }
+    tried_knobs = [knob for knob in knobs() if shown.get(knob.group, True)]
+    best, value = body.design, gain(body.design)
+    for step in _STEPS:
+        for knob in tried_knobs:
+            for other in knob.moved(best, step):
+                if (tried := gain(other)) > value + _LEAST_GAIN:
+                    best, value = other, tried
+    return TemplateBody(body.size, best)
+
+
+_LEAST_SHOWN = 0.03  # share of the weight that must lie on an end of the vehicle
+_STEPS = (0.20, 0.10, 0.05)  # of a number's range
+_MEASUREMENTS = 150.0  # independent ones in a view that shows the vehicle squarely
+_LEAST_GAIN = 0.1  # nats
+_NUMBER_SPREAD = 0.15  # of its range, by which a number differs from the usual one
+_CHOICE_COST = 1.5  # nats of a choice that is not the usual one
+# Landmarks that colours tell and outlines do not; the others of the body stay as fitted.
+_LANDMARKS = ("belt_rear_z", "side_pillars_x")
+
+
+@dataclass(frozen=True)
+class DesignKnob:
+    """One number or choice of a design."""
+
+    group: str
+    name: str
+    limits: tuple[float, float] | None
+    choices: tuple[Any, ...] = ()
+
+    def of(self, design: VehicleDesign) -> Any:
+        """Its value."""
+        return getattr(getattr(design, self.group), self.name)
+
+    def set(self, design: VehicleDesign, value: Any) -> VehicleDesign:
+        """The design with another value."""
+        changes: dict[str, Any] = {
+            self.group: replace(getattr(design, self.group), **{self.name: value})
+        }
+        return replace(design, **changes)
+
+    def moved(self, design: VehicleDesign, step: float) -> Iterator[VehicleDesign]:
+        """Designs with other values: a step of the range up and down, or every other choice."""
+        now = self.of(design)
+        if self.limits is None:
+            yield from (self.set(design, one) for one in self.choices if one != now)
+            return
+        low, high = self.limits
+        for sign in (-1, 1):
+            value = float(np.clip(now + sign * step * (high - low), low, high))
+            if value != now:
+                yield self.set(design, value)
+
+    def cost(self, design: VehicleDesign, usual: VehicleDesign) -> float:
+        """Nats that its difference from the usual value costs."""
+        value, expected = self.of(design), self.of(usual)
+        if self.limits is None:
+            return 0.0 if value == expected else _CHOICE_COST
+        low, high = self.limits
+        return 0.5 * ((value - expected) / (_NUMBER_SPREAD * (high - low))) ** 2
+
+
+def _cost(design: VehicleDesign, usual: VehicleDesign) -> float:
+    return sum(knob.cost(design, usual) for knob in knobs())
+
+
+@cache
+def knobs() -> tuple[DesignKnob, ...]:
+    """Every number and choice of a design's parts, by the annotations of its fields."""
+    found: list[DesignKnob] = []
+    for group, kind in get_type_hints(VehicleDesign).items():
+        if not is_dataclass(kind):
+            continue
+        hints = get_type_hints(kind, include_extras=True)
+        for field in fields(kind):
+            if group == "proportions" and field.name not in _LANDMARKS:
+                continue
+            hint = hints[field.name]
+            if hasattr(hint, "__metadata__"):
+                limits = hint.__metadata__[0]
+                if hint.__origin__ is float:
+                    found.append(DesignKnob(group, field.name, limits))
+            elif get_origin(hint) is Literal:
+                found.append(DesignKnob(group, field.name, None, get_args(hint)))
+            elif hint is bool:
+                found.append(DesignKnob(group, field.name, None, (False, True)))
+    return tuple(found)
+
+
+def settled(
+    placement: TemplatePlacement,
+    seen: SeenPatches,
+    body: TemplateBody,
+    evidence: PartEvidence,
+    overlap: Callable[[TemplatePlacement], float],
+) -> TemplatePlacement:
+    """The placement moved across its view, and turned, to where the parts are seen.
+
+    Args:
+        body: body on which the patches lie.
+        overlap: overlap of the placed model's silhouette with the mask.
+    """
+    across = evidence.observation.camera_from_object[:2, :3]
+    part = PART_OF_MATERIAL[label_body(body, seen.points, seen.normals)]
+
+    def moved(x: Array) -> TemplatePlacement:
+        shift = placement.shift + _SHIFT_SPREAD * x[:2] @ across
+        return replace(placement, shift=shift, yaw=placement.yaw + _YAW_SPREAD * float(x[2]))
+
+    def cost(x: Array) -> float:
+        other = moved(x)
+        fit = seen.weight @ _own(evidence.sampled(other.points(seen.points)), part)
+        return _OVERLAP_WEIGHT * (1 - overlap(other)) - float(fit) + 0.5 * float(x @ x)
+
+    best = moved(minimum(cost, 3, 90, xatol=0.03, fatol=0.02))
+    return replace(best, overlap=overlap(best))
+
+
+_SHIFT_SPREAD, _YAW_SPREAD = 0.06, np.radians(1.5)  # metres, radians: labels are off in one frame
+_OVERLAP_WEIGHT = 60.0
+
+
+def _own(scores: Array, part: Int64Array) -> Array:
+    return np.take_along_axis(scores, part[:, None], axis=1)[:, 0]
+
+
+def paint_colour(seen: Sequence[SurfaceView], painted: NDArray[np.bool_]) -> Array:
+    """Colour (3,) of the paint, CIE Lab: median of the patches that should show it.
+
+    Args:
+        painted: (N,) patches whose part is paint.
+    """
+    colours = np.concatenate([one.colour[painted & (one.weight > 0.5)] for one in seen])
+    if len(colours) < _FEW:
+        return np.array([50.0, 0.0, 0.0])
+    lab = to_lab(colours)
+    middle = np.median(lab, axis=0)
+    for _ in range(4):  # towards where most of them are
+        near = np.linalg.norm((lab - middle) / [25.0, 10.0, 10.0], axis=1) < 1.0
+        if near.sum() < _FEW:
+            break
+        middle = np.median(lab[near], axis=0)
+    return np.asarray(middle)
+
+
+_FEW = 20  # patches
+
+
+def seen_patches(
+    cloud: SurfaceCloud, view: SurfaceView, evidence: PartEvidence, placement: TemplatePlacement
+) -> SeenPatches:
+    """What one view says of a body's patches."""
+    shown = cloud.on_body & (view.weight > 0.2)
+    area = view.weight[shown] * cloud.spacing[shown] ** 2
+    total = float(area.sum())
+    share = _MEASUREMENTS * min(total / _WHOLE_VIEW, 1.0)
+    points = cloud.points[shown]
+    return SeenPatches(
+        points,
+        cloud.normals[shown],
+        evidence.sampled(placement.points(points)),
+        area * share / max(total, 1e-9),
+    )
+
+
+_WHOLE_VIEW = 5.0  # square metres that a view of two sides of a car shows
