@@ -60,7 +60,7 @@ class TemplateMaterial(IntEnum):
     WHEEL_GAP = 32
 
 
-class VehiclePart(IntEnum):
+class BodyPart(IntEnum):
     """What a surface point belongs to."""
 
     PAINT = 0
@@ -74,7 +74,18 @@ class VehiclePart(IntEnum):
     DARK = 8
 
 
-_M, _P = TemplateMaterial, VehiclePart
+class VehiclePart(IntEnum):
+    """What a surface point is, as far as its colour tells."""
+
+    PAINT = 0
+    GLASS = 1
+    DARK = 2
+    RED = 3
+    CLEAR = 4
+    PLATE = 5
+
+
+_M, _P = TemplateMaterial, BodyPart
 _FINISHES = {
     _M.PAINT: ((0.40, 0.41, 0.43), 1.0, 1.0, _P.PAINT),  # replaced by the observed paint
     _M.GLASS: ((0.12, 0.13, 0.14), 3.0, 0.0, _P.GLASS),
@@ -119,44 +130,27 @@ GLOSS = np.array([_FINISHES[m][1] for m in TemplateMaterial])
 """(materials,) factor on the Fresnel reflection of a clear coat."""
 PAINTED = np.array([_FINISHES[m][2] for m in TemplateMaterial])
 """(materials,) share of the body colour."""
-PART_OF_MATERIAL = np.array([int(_FINISHES[m][3]) for m in TemplateMaterial])
+BODY_PART = np.array([int(_FINISHES[m][3]) for m in TemplateMaterial])
+"""(materials,) `BodyPart` of each material."""
+_CLEAR = {_M.LAMP, _M.LAMP_CORE, _M.REVERSE, _M.CHROME, _M.BAR, _M.SILVER}
+_RED = {_M.RED, _M.RED_CORE, _M.RED_DARK, _M.AMBER, _M.TURN, _M.REFLECTOR}
+_COLOURED = {
+    VehiclePart.PAINT: {_M.PAINT, _M.HANDLE},
+    VehiclePart.GLASS: {_M.GLASS, _M.SCREEN, _M.DARK_GLASS},
+    VehiclePart.RED: _RED,
+    VehiclePart.CLEAR: _CLEAR,
+    VehiclePart.PLATE: {_M.PLATE, _M.PLATE_BAND},
+}
+_KINDS = {material: part for part, those in _COLOURED.items() for material in those}
+PART_OF_MATERIAL = np.array([int(_KINDS.get(m, VehiclePart.DARK)) for m in TemplateMaterial])
 """(materials,) `VehiclePart` of each material."""
-GLASS = (PART_OF_MATERIAL == VehiclePart.GLASS).astype(float)
+GLASS = (BODY_PART == BodyPart.GLASS).astype(float)
 """(materials,) 1 for windows."""
 RIM = np.isin(np.arange(len(_FINISHES)), [_M.ALLOY, _M.DARK_ALLOY, _M.COVER]).astype(float)
 """(materials,) 1 for the metal of wheels."""
 
 _LINE = 0.005  # metres: half width of shut lines
 _BENT = 0.8  # arc around a corner over the distance behind the bumper
-
-
-class VehiclePart(IntEnum):
-    """What a patch belongs to, as far as its colour tells."""
-
-    PAINT = 0
-    GLASS = 1
-    DARK = 2
-    RED = 3
-    CLEAR = 4
-    PLATE = 5
-
-
-_DARK = VehiclePart.DARK
-_PARTS = {
-    TemplateMaterial.PAINT: VehiclePart.PAINT,
-    TemplateMaterial.HANDLE: VehiclePart.PAINT,
-    TemplateMaterial.GLASS: VehiclePart.GLASS,
-    TemplateMaterial.RED: VehiclePart.RED,
-    TemplateMaterial.RED_CORE: VehiclePart.RED,
-    TemplateMaterial.AMBER: VehiclePart.RED,
-    TemplateMaterial.LAMP: VehiclePart.CLEAR,
-    TemplateMaterial.LAMP_CORE: VehiclePart.CLEAR,
-    TemplateMaterial.CHROME: VehiclePart.CLEAR,
-    TemplateMaterial.PLATE: VehiclePart.PLATE,
-    TemplateMaterial.PLATE_BAND: VehiclePart.PLATE,
-}
-PART_OF_MATERIAL = np.array([_PARTS.get(m, _DARK) for m in TemplateMaterial])
-"""(materials,) part of each material."""
 
 
 def label_body(body: TemplateBody, points: Array, normals: Array) -> Int64Array:
@@ -258,7 +252,7 @@ def _front(
         fog = np.hypot((across - lamp_x) / 1.15, z - centre)
         labels[ahead & (fog < 0.044)] = _M.DARK_BAR
         labels[ahead & (fog < 0.036)] = _M.SILVER
-        labels[ahead & (fog < 0.020)] = _M.PLATE
+        labels[ahead & (fog < 0.020)] = _M.BAR
     crease = (np.abs(z - 0.485 * s) < 0.004) & (across > 0.30) & (across < 0.95 * half)
     labels[ahead & crease & (labels == _M.PAINT)] = _M.SEAM
 
