@@ -79,6 +79,7 @@ class TemplateBody:
             knots[2] = (0.62, p.deck_z)
         knots = sorted((self.x_at(fraction), z * self.height) for fraction, z in knots)
         xs, zs = np.array(knots).T
+        xs = np.maximum.accumulate(xs) + 1e-4 * np.arange(len(xs))  # none may coincide
         grid = np.linspace(-0.6, 0.6, 241) * self.length
         profile = PchipInterpolator(xs, zs)(np.clip(grid, xs[0], xs[-1]))
         self._profile = (grid, profile)

@@ -328,10 +328,20 @@ _USED = 0.35  # age and price of what is most usual on roads
 _CAR_STYLES = tuple(style for style in _BODIES if style not in ("van", "bus", "truck"))
 
 
-def limits(part: type) -> dict[str, tuple[float, float]]:
-    """Lower and upper limit of each number of a design's dataclass."""
+def _read_limits(part: type) -> dict[str, tuple[float, float]]:
     hints = get_type_hints(part, include_extras=True).items()
     return {name: hint.__metadata__[0] for name, hint in hints if hasattr(hint, "__metadata__")}
+
+
+_PARTS = (Proportions, FrontDesign, RearDesign, SideDesign, RimDesign)
+_LIMITS: dict[type, dict[str, tuple[float, float]]] = {part: _read_limits(part) for part in _PARTS}
+_OPTIONS: dict[tuple[type, str], tuple[Any, ...]] = {(part, name): get_args(hint) for part in _PARTS
+            for name, hint in get_type_hints(part).items()}  # fmt: skip
+
+
+def limits(part: type) -> dict[str, tuple[float, float]]:
+    """Lower and upper limit of each number of a design's part, such as `FrontDesign`."""
+    return _LIMITS[part]
 
 
 def likely_design(style: str, size: ArrayLike) -> VehicleDesign:
@@ -357,8 +367,11 @@ def sample_size(style: str, rng: np.random.Generator) -> Array:
 
 def _design(style: str, size: Array, rng: np.random.Generator | None) -> VehicleDesign:
     age, price = (_USED, _USED) if rng is None else rng.uniform(0.0, 1.0, 2)
+    if style == "coupe-suv":  # a new kind of car
+        age *= 0.4
 
-    def pick(options: tuple[str, ...], weights: tuple[float, ...]) -> Any:
+    def pick(part: type, name: str, weights: tuple[float, ...]) -> Any:
+        options = _OPTIONS[part, name]
         eras = np.array([_ERAS.get(option, age) for option in options])
         shares = np.array(weights, np.float64) * np.exp(-(((eras - age) / 0.3) ** 2))
         best = (
@@ -371,32 +384,29 @@ def _design(style: str, size: Array, rng: np.random.Generator | None) -> Vehicle
     def chance(probability: float) -> bool:
         return bool((0.5 if rng is None else rng.uniform()) < probability)
 
-    def named(part: type, name: str) -> tuple[str, ...]:
-        return get_args(get_type_hints(part)[name])
-
     lamps, grilles, bumpers, tails = _CHOICES[style]
     face = _FACES[style]
     high = style in ("suv", "coupe-suv", "pickup")
     working = style in ("van", "bus", "truck")
     scale = float(np.clip(size[2] / 1.5, 0.95, 1.35)) if not working else 1.3
 
-    lamp = pick(named(FrontDesign, "lamp"), lamps)
-    grille = pick(named(FrontDesign, "grille"), grilles)
+    lamp = pick(FrontDesign, "lamp", lamps)
+    grille = pick(FrontDesign, "grille", grilles)
     inner, wrap, lamp_z, lamp_height, slant = _LAMPS[lamp]
     grille_z, width, height, plate_z, intake_width, intake_height = _GRILLES[grille]
-    bumper = pick(named(FrontDesign, "bumper"), bumpers)
+    bumper = pick(FrontDesign, "bumper", bumpers)
     front = FrontDesign(
         lamp, inner, wrap * (0.5 if working else 1.0), lamp_z, lamp_height * scale, slant,
         lamp_dark=chance(0.25 + 0.6 * (age < 0.3)),
-        amber=chance(1.6 * (age - 0.45)),
+        amber=chance(1.3 * (age - 0.6)),
         grille=grille, grille_z=grille_z, grille_width=width, grille_height=height * scale,
-        bars=pick(named(FrontDesign, "bars"), (5, 1 + price, 2 + 3 * (age < 0.4))),
-        frame=pick(named(FrontDesign, "frame"), (1.5 + 3 * price, 3, 1.5)),
+        bars=pick(FrontDesign, "bars", (5, 1 + price, 2 + 3 * (age < 0.4))),
+        frame=pick(FrontDesign, "frame", (1.5 + 3 * price, 3, 1.5)),
         intake_width=intake_width, intake_height=intake_height * scale,
         fog=chance(0.7), bumper=bumper, plate_z=plate_z,
         plate="short" if style in ("kei", "one-box") or chance(0.3) else "long",
     )  # fmt: skip
-    tail = pick(named(RearDesign, "lamp"), tails)
+    tail = pick(RearDesign, "lamp", tails)
     low, top, inner = face[:3]
     if tail == "upright":
         low, top, inner = low - 0.02, min(top + 0.12, 0.85 if style != "pickup" else 0.57), 0.82
@@ -406,11 +416,11 @@ def _design(style: str, size: Array, rng: np.random.Generator | None) -> Vehicle
         low, top, inner = face[:3]
     rear = RearDesign(
         tail, low, top, inner, 0.06 if working else 0.20,
-        indicator=pick(named(RearDesign, "indicator"), (2 + 4 * (age < 0.4), 2, 4 * age)),
+        indicator=pick(RearDesign, "indicator", (2 + 4 * (age < 0.4), 2, 4 * age)),
         plate_z=face[3], bumper_z=face[4], apron_z=face[5],
         window_width=0.6 if style == "truck" else 0.80 if working else 0.95, window_low=0.03,
         spoiler=chance(0.7 if style not in ("sedan", "coupe", "pickup") and not working else 0.0),
-        exhaust=pick(named(RearDesign, "exhaust"), (3.0, 2.5, 3.5 * price)),
+        exhaust=pick(RearDesign, "exhaust", (3.0, 2.5, 3.5 * price)),
         chrome=chance(0.25 + 0.5 * price),
     )  # fmt: skip
     trim = chance(0.75 if high else 0.12 if style in ("hatchback", "estate", "city") else 0.0)
@@ -424,13 +434,14 @@ def _design(style: str, size: Array, rng: np.random.Generator | None) -> Vehicle
         rub_strip=chance(1.4 * (age - 0.4)) or style == "van",
         handles="black" if working or chance(age - 0.55) else
         "chrome" if chance(0.5 * price) else "painted",
-        rails=pick(named(SideDesign, "rails"), (2, 2, 2.5) if style in ("suv", "estate")
+        rails=pick(SideDesign, "rails", (2, 2, 2.5) if style in ("suv", "estate")
                    else (6, 1, 1) if style == "mpv" else (1, 0, 0)),
         black_roof=chance(0.12 if not working else 0.0),
         sliding=style in ("one-box", "van") or (style == "kei" and chance(0.6)),
     )  # fmt: skip
     kind = pick(
-        named(RimDesign, "kind"),
+        RimDesign,
+        "kind",
         (3 + 3 * price, 1.5 * (age < 0.5) + 0.3, 5 if working else 3.0 * (1 - price)),
     )
     rim = RimDesign(

@@ -328,10 +328,15 @@ def _headlamps(
         inside = np.minimum(radius - np.abs(v), ends)
         rings = [(inner + 0.36 * long, 0.0, 0.85 * radius)]
     elif front.lamp == "tall":  # a low inner corner, swept up the wing
-        grown = radius * (0.45 + 0.55 * np.clip(t / 0.6, 0, 1))
-        grown = grown * np.sqrt(np.clip((1.02 - t) / 0.3, 0.0, 1.0))
-        inside = np.minimum(grown - np.abs(v), ends)
-        rings = [(inner + 0.30 * long, 0.0, 0.6 * radius), (inner + 0.52 * long, 0.0, 0.6 * radius)]
+        rise = np.clip(t / 0.85, 0.0, 1.0)
+        top = radius * (0.1 + 0.9 * rise * rise) + front.lamp_slant * lead * rise
+        bottom = -radius * (0.9 - 0.9 * np.clip(t - 0.4, 0.0, 1.0) / 0.6)
+        inside = np.minimum(np.minimum(top - height, height - bottom), ends)
+        v = height - bottom - radius
+        rings = [
+            (inner + 0.28 * long, -0.35 * radius, 0.5 * radius),
+            (inner + 0.52 * long, -0.25 * radius, 0.6 * radius),
+        ]
     elif front.lamp == "split":
         low = height + 0.20 * lead
         inside = np.maximum(
@@ -389,7 +394,7 @@ def _rear(
         labels[behind & skid] = _M.SILVER
     mark = (np.abs(z - apron - 0.03) < 0.016) & (np.abs(across - 0.74 * half) < 0.09)
     labels[behind & mark] = _M.REFLECTOR
-    pipe = np.hypot((across - 0.62 * half) / 1.4, z - 0.72 * apron)
+    pipe = np.hypot((across - 0.62 * half) / 1.4, z - max(0.72 * apron, body.clearance + 0.09))
     shown = {"none": y > 9.0, "single": y > 0, "double": across > 0}[rear.exhaust]
     labels[behind & shown & (pipe < 0.038)] = _M.CHROME
     labels[behind & shown & (pipe < 0.028)] = _M.DARK
