@@ -1,5 +1,8 @@
 from __future__ import annotations
 
+import dataclasses
+from typing import get_args, get_type_hints
+
 import numpy as np
 import pytest
 import torch
@@ -8,11 +11,19 @@ from scipy.ndimage import binary_erosion
 from recast.actors import Asset, Observation, TemplateGenerator, turntable
 from recast.actors.actor import Actor
 from recast.actors.icp import outer_surface
-from recast.actors.template.body import TemplateBody
+from recast.actors.template.body import TemplateBody, wheel
 from recast.actors.template.cloud import build_cloud, gradient, sample
-from recast.actors.template.design import STYLES, candidate_styles
+from recast.actors.template.design import (
+    STYLES,
+    VehicleDesign,
+    candidate_styles,
+    likely_design,
+    limits,
+    sample_design,
+    sample_size,
+)
 from recast.actors.template.lighting import fit_harmonics, sh_basis, shade
-from recast.actors.template.materials import TemplateMaterial, label_body
+from recast.actors.template.materials import BODY_PART, BodyPart, label_body
 from recast.actors.template.proportions import fit_shape
 from recast.scene.actor import look_at
 from recast.splats import Gaussians, rasterize
@@ -46,9 +57,120 @@ def test_every_style_fills_its_box(style: str) -> None:
     assert 0.05 < points[:, 2].min() < 0.5
     np.testing.assert_allclose(np.linalg.norm(normals, axis=1), 1.0)
     labels = label_body(body, points, normals)
-    glass = points[labels == TemplateMaterial.GLASS]
+    glass = points[BODY_PART[labels] == BodyPart.GLASS]
     assert len(glass) > 0.02 * len(points)
     assert glass[:, 2].min() > 0.3 * size[2]
+
+
+def half_cloud(body: TemplateBody, spacing: float = 0.04) -> tuple[np.ndarray, np.ndarray]:
+    """Points and normals of a body's left half; of a long one, 1.3 metres at each end."""
+    halves = []
+    end = body.length / 2 + 0.05
+    start = end - 1.35 if body.length > 6 else 0.0
+    for low, high in ((-end, -start), (start, end)):
+        near, far = np.array([low, 0.0, 0.0]), np.array([high, body.width / 2 + 0.05, 9.0])
+        far[2] = body.height + 0.05
+        halves.append(sample(body.distance, near, far, spacing, np.random.default_rng(0)))
+    return np.concatenate([one[0] for one in halves]), np.concatenate([one[1] for one in halves])
+
+
+SAMPLED = [(style, seed) for style in STYLES for seed in range(5)]
+
+
+@pytest.mark.parametrize(("style", "seed"), SAMPLED)
+def test_sampled_designs_are_whole_vehicles(style: str, seed: int) -> None:
+    """The box is touched, wheels stand on the ground, and every part is where it belongs."""
+    rng = np.random.default_rng(seed)
+    size = sample_size(style, rng)
+    body = TemplateBody(size, sample_design(style, size, rng))
+    points, normals = half_cloud(body, 0.05)
+    assert np.isfinite(normals).all()
+    assert points[:, 0].max() == pytest.approx(size[0] / 2, abs=0.05)
+    assert points[:, 0].min() == pytest.approx(-size[0] / 2, abs=0.05)
+    assert points[:, 1].max() == pytest.approx(size[1] / 2, abs=0.05)
+    assert points[:, 2].max() == pytest.approx(size[2], abs=0.05)
+    for axle in body.axles:
+        assert wheel(body, axle, 0.05)[0][:, 2].min() == pytest.approx(0.0, abs=0.01)
+        assert abs(axle) + body.arch_radius < size[0] / 2
+    # lamps and plates are fine: look at them more closely
+    offset = rng.normal(0.0, 0.03, (8, *points.shape))
+    points = (points + offset - np.sum(offset * normals, -1, keepdims=True) * normals).reshape(
+        -1, 3
+    )
+    normals = np.tile(normals, (8, 1))
+    part = BODY_PART[label_body(body, points, normals)]
+    x, y, z = points.T
+    front, side = x > 0.3 * size[0], np.abs(normals[:, 1]) > 0.7
+
+    def among(which: BodyPart, where: np.ndarray) -> int:
+        return int(np.sum((part == which) & where))
+
+    assert among(BodyPart.HEAD_LAMP, front) > 30
+    assert among(BodyPart.HEAD_LAMP, ~front) == 0
+    assert y[part == BodyPart.HEAD_LAMP].min() > 0.1 * size[1]
+    assert among(BodyPart.TAIL_LAMP, x < -0.3 * size[0]) > 20
+    assert among(BodyPart.TAIL_LAMP, x > -0.3 * size[0]) == 0
+    for end in (front, x < -0.3 * size[0]):
+        assert among(BodyPart.PLATE, end) > 10
+        assert z[(part == BodyPart.PLATE) & end].max() < 0.7 * size[2]
+    assert among(BodyPart.GLASS, side & (x > 0 if style != "coupe" else x > -0.3)) > 50
+    assert among(BodyPart.GLASS, (normals[:, 0] > 0.4) & (x > 0)) > 50
+    assert z[part == BodyPart.GLASS].min() > 0.25 * size[2]
+    assert among(BodyPart.PAINT, side) > 300
+
+
+def test_sides_are_alike_but_for_plates_and_fittings() -> None:
+    """The exhaust pipe, wipers and the plate's characters are not symmetric."""
+    rng = np.random.default_rng(3)
+    for style in ("suv", "one-box", "coupe"):
+        body = TemplateBody(np.array([4.5, 1.8, 1.6]), sample_design(style, (4.5, 1.8, 1.6), rng))
+        points, normals = half_cloud(body)
+        left = BODY_PART[label_body(body, points, normals)]
+        right = BODY_PART[label_body(body, points * [1, -1, 1], normals * [1, -1, 1])]
+        assert np.mean(left != right) < 0.01
+        for part in (BodyPart.HEAD_LAMP, BodyPart.TAIL_LAMP, BodyPart.GRILLE):
+            np.testing.assert_array_equal(left == part, right == part)
+
+
+def test_numbers_of_a_design_are_within_their_limits() -> None:
+    rng = np.random.default_rng(0)
+    for style in STYLES:
+        size = sample_size(style, rng)
+        for design in (
+            likely_design(style, size),
+            *(sample_design(style, size, rng) for _ in "ab"),
+        ):
+            for field in dataclasses.fields(VehicleDesign):
+                part = getattr(design, field.name)
+                for name, (low, high) in limits(type(part)).items():
+                    assert low <= getattr(part, name) <= high, (style, name)
+        assert likely_design(style, size) == likely_design(style, size)
+
+
+def test_every_choice_occurs_and_shows() -> None:
+    """A sampler that never takes a choice, or a choice that changes nothing, is useless."""
+    rng = np.random.default_rng(0)
+    size = np.array([4.4, 1.8, 1.6])
+    sampled = [sample_design(style, size, rng) for _ in range(15) for style in STYLES]
+    usual = likely_design("suv", size)
+    points, normals = half_cloud(TemplateBody(size, usual), 0.035)
+    points, normals = np.concatenate([points, points * [1, -1, 1]]), np.tile(normals, (2, 1))
+    normals[len(normals) // 2 :, 1] *= -1
+    for group in ("front", "rear", "side"):
+        for name, hint in get_type_hints(type(getattr(usual, group))).items():
+            options = (False, True) if hint is bool else get_args(hint)
+            drawn = {getattr(getattr(one, group), name) for one in sampled}
+            if options:
+                assert drawn == set(options), name
+            looks = set()
+            for option in options:
+                part = dataclasses.replace(getattr(usual, group), **{name: option})
+                # parts that others depend on
+                if name == "amber":
+                    part = dataclasses.replace(part, lamp="almond")
+                design = dataclasses.replace(usual, **{group: part})
+                looks.add(label_body(TemplateBody(size, design), points, normals).tobytes())
+            assert len(looks) == len(options), name
 
 
 def test_distance_is_signed_and_metric() -> None:

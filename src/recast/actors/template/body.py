@@ -40,6 +40,10 @@ class BodyPanels:
     greenhouse: Array
     lower: Array
 
+    def at(self, index: Int64Array) -> BodyPanels:
+        """The distances of some of the points (M,)."""
+        return BodyPanels(*(values[index] for values in self.__dict__.values()))
+
 
 class TemplateBody:
     """The implicit body of a vehicle of given box and design.
@@ -75,6 +79,7 @@ class TemplateBody:
             knots[2] = (0.62, p.deck_z)
         knots = sorted((self.x_at(fraction), z * self.height) for fraction, z in knots)
         xs, zs = np.array(knots).T
+        xs = np.maximum.accumulate(xs) + 1e-4 * np.arange(len(xs))  # none may coincide
         grid = np.linspace(-0.6, 0.6, 241) * self.length
         profile = PchipInterpolator(xs, zs)(np.clip(grid, xs[0], xs[-1]))
         self._profile = (grid, profile)
@@ -224,19 +229,20 @@ class TemplateBody:
 def wheel(body: TemplateBody, axle_x: float, spacing: float) -> tuple[Array, Array, Int64Array]:
     """Points (N, 3), outward normals (N, 3) and materials (N,) of the left wheel on one axle.
 
-    A lathed tyre and rim; the gaps between the ten spokes lie 5 cm behind them. Points are
-    `spacing` metres apart.
+    A lathed tyre and rim; the gaps between the spokes lie 5 cm behind them, those of a wheel cover
+    1 cm. Points are `spacing` metres apart.
     """
-    r, w = body.wheel_radius, body.wheel_width
+    r, w, rim = body.wheel_radius, body.wheel_width, body.design.rim
+    q = rim.share * r  # radius of the rim
     profile = np.array(
         [
             (0.0, -0.03),
-            (0.14 * r, -0.03),
-            (0.18 * r, -0.045),
-            (0.58 * r, -0.025),
-            (0.64 * r, -0.005),
-            (0.69 * r, -0.018),
-            (0.84 * r, 0.0),
+            (0.20 * q, -0.03),
+            (0.27 * q, -0.045),
+            (0.88 * q, -0.025),
+            (0.96 * q, -0.005),
+            (1.01 * q, -0.018),
+            (0.55 * q + 0.45 * r, 0.0),
             (0.95 * r, -0.018),
             (r, -0.05),
             (r, -w + 0.05),
@@ -261,14 +267,24 @@ def wheel(body: TemplateBody, axle_x: float, spacing: float) -> tuple[Array, Arr
 
     labels = np.full(len(ring), int(TemplateMaterial.TYRE))
     outer = depth > -0.06
-    rim = outer & (radius < 0.67 * r)
-    labels[rim] = TemplateMaterial.ALLOY
-    fold = np.abs((angle / (2 * np.pi) * 10) % 1 - 0.5)
-    gap = rim & (radius > 0.2 * r) & (radius < 0.57 * r) & (fold > 0.17 + 0.02 * r / radius)
-    labels[gap] = TemplateMaterial.DARK
-    labels[rim & (radius > 0.655 * r)] = TemplateMaterial.DARK
-    labels[outer & (radius < 0.05 * r)] = TemplateMaterial.TRIM
-    depth = np.where(gap, depth - 0.05, depth)
+    metal = outer & (radius < q)
+    labels[metal] = {
+        "alloy": TemplateMaterial.ALLOY,
+        "dark": TemplateMaterial.DARK_ALLOY,
+        "cover": TemplateMaterial.COVER,
+    }[rim.kind]
+    # 0 in the middle of a spoke, 0.5 between two; spokes taper a little towards the rim
+    fold = np.abs((angle / (2 * np.pi) * round(rim.spokes) + 0.5) % 1 - 0.5)
+    wide = rim.spoke_width / 2 * (0.75 + 0.35 * 0.6 * q / np.maximum(radius, 0.2 * q))
+    cover = rim.kind == "cover"
+    between = metal & (radius > (0.52 if cover else 0.27) * q) & (radius < 0.87 * q)
+    gap = between & (fold > (0.3 if cover else wide))
+    if rim.pairs and not cover:
+        gap |= between & (fold < 0.25 * wide) & (radius > 0.4 * q)
+    labels[gap] = TemplateMaterial.WHEEL_GAP
+    labels[metal & (radius > 0.975 * q)] = TemplateMaterial.WHEEL_GAP
+    labels[outer & (radius < 0.08 * q)] = TemplateMaterial.WHEEL_GAP
+    depth = np.where(gap, depth - (0.01 if cover else 0.05), depth)
 
     cos, sin = np.cos(angle), np.sin(angle)
     centre = np.array([axle_x, body.width / 2 - 0.012, r])
