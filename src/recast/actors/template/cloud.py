@@ -35,6 +35,7 @@ MIRROR = np.array([1.0, -1.0, 1.0])
 """Factors that take a side of the vehicle to the other."""
 
 _THICKNESS = 0.002
+_CURVED = 0.006  # metres by which a surface may leave its tangent within a cell of 8 cm
 COVERAGE = (1.75, 2.1)
 """Standard deviation of a Gaussian over that of its patch, and of a group of patches."""
 
@@ -71,15 +72,24 @@ def sample(
     """Points (M, 3) about `spacing` metres apart on the zero level, with outward unit normals.
 
     A coarse grid of a box around the surface, `low` to `high` (3,), finds the cells the surface
-    crosses; random points in them are projected to the surface and thinned to one mean a voxel.
+    crosses; in each, the points of a fine lattice near the surface, shifted a little at random, are
+    projected to it and thinned to one mean a voxel. (Points drawn at random left one voxel in
+    twenty empty, through which the dark inside showed.)
     """
     cell = 0.08
     axes = [np.arange(a, b + cell, cell) + cell / 2 for a, b in zip(low, high, strict=True)]
     centres = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
-    centres = centres[np.abs(distance(centres)) < 0.8 * cell]
-    seeds_per_cell = max(4, int(np.ceil(1.5 * (cell / spacing) ** 2)))
-    seeds = np.repeat(centres, seeds_per_cell, axis=0)
-    seeds = seeds + rng.uniform(-cell / 2, cell / 2, seeds.shape)
+    value = distance(centres)
+    near = np.abs(value) < 0.9 * cell
+    centres, value = centres[near], value[near]
+    slopes = gradient(distance, centres, value)
+    steps = int(np.ceil(cell / spacing))
+    places = (np.arange(steps) + 0.5) / steps * cell - cell / 2
+    lattice = np.stack(np.meshgrid(places, places, places, indexing="ij"), axis=-1).reshape(-1, 3)
+    expected = np.abs(value[:, None] + slopes @ lattice.T)
+    cells, offsets = np.nonzero(expected < 0.8 * spacing + _CURVED)
+    seeds = centres[cells] + lattice[offsets]
+    seeds += rng.uniform(-0.25, 0.25, seeds.shape) * (cell / steps)
     seeds = project(distance, seeds, steps=2)
     seeds = seeds[np.all((seeds >= low) & (seeds <= high), axis=1)]
     voxel = np.unique(voxel_ids(seeds, spacing), return_inverse=True)[1]

@@ -181,19 +181,23 @@ def estimate_light(
         painted, colour, views = painted[lively], colour[lively], views[lively]
     if len(painted) < _FEW:
         return Daylight(level, level, 0.5, tint), gamma_to_linear(SRGB[TemplateMaterial.PAINT])
-    normals, heights = cloud.normals[painted], cloud.points[painted, 2]
-    found = gamma_to_linear(colour) / np.asarray(tint)
+    count = len(painted)
+    panes, pane_colour, pane_views = shown_patches(seen, cloud.glass > 0.9)
+    both = np.concatenate([painted, panes])
+    normals, heights = cloud.normals[both], cloud.points[both, 2]
+    found = gamma_to_linear(np.concatenate([colour, pane_colour])) / np.asarray(tint)
+    gloss = cloud.gloss[both] * np.where(np.arange(len(both)) < count, 1.0, _PANES[0][1])
+    eyes = np.concatenate([views, pane_views])
     flanks, full = (diffuse(normals, heights, one)[:, 0] for one in (0.0, 1.0))
-    skies = [mirrored(normals, views, cloud.gloss[painted], clouds) for clouds in (0.0, 1.0)]
+    skies = [mirrored(normals, eyes, gloss, clouds) for clouds in (0.0, 1.0)]
     contrast = 1.0
     for _ in range(_CONTRAST_ROUNDS):
         across = flanks + contrast * (full - flanks)
-        radiance, (clear, cloudy), weight = _split(found, across, skies[0], skies[1], level)
+        radiance, (clear, cloudy), share = _split(found, count, across, skies[0], skies[1], level)
         # how much of the step from flank to roof the paint shows, drawn to all of it
-        step = (full - flanks)[:, None] * radiance
-        rest = found - flanks[:, None] * radiance - clear * skies[0] - cloudy * skies[1]
-        scale = (_MISFIT * np.median(found, axis=0) + 0.004) ** 2
-        share = weight * min(_EFFECTIVE / len(found), 1.0) / scale
+        step = (full - flanks)[:count, None] * radiance
+        rest = (found - clear * skies[0] - cloudy * skies[1])[:count]
+        rest -= flanks[:count, None] * radiance
         pull = 1 / _CONTRAST_SPREAD**2
         contrast = (np.sum(share * step * rest) + pull) / (np.sum(share * step**2) + pull)
         contrast = float(np.clip(contrast, *_CONTRAST))
@@ -205,38 +209,47 @@ def estimate_light(
 
 
 def _split(
-    found: Array, across: Array, clear: Array, cloudy: Array, level: float
+    found: Array, count: int, across: Array, clear: Array, cloudy: Array, level: float
 ) -> tuple[Array, Array, Array]:
-    """Radiance (3,) of the paint, factors (2,) of both skies, weights (N, 3) of linear colours."""
-    count = len(found)
-    spread = _MISFIT * np.median(found, axis=0) + 0.004
-    rows = np.zeros((count, 3, 5))
-    rows[:, [0, 1, 2], [0, 1, 2]] = across[:, None]
+    """Radiance (3,) of the paint, factors (2,) of both skies, weights of the paint's patches.
+
+    Args:
+        found: (N, 3) linear colours; the first `count` are of paint, the others of panes, behind
+            which lies a grey interior of unknown brightness.
+        across: (N,) diffuse light; `clear`, `cloudy`: (N, 3) mirrored light of both skies.
+    """
+    middle = np.median(found[:count], axis=0)
+    spread = np.broadcast_to(_MISFIT * middle + 0.004, found.shape).copy()
+    spread[count:] = _PANE_NOISE
+    rows = np.zeros((len(found), 3, 6))
+    rows[:count, [0, 1, 2], [0, 1, 2]] = across[:count, None]
     rows[:, :, 3], rows[:, :, 4] = clear, cloudy
+    rows[count:, :, 5] = across[count:, None]
     prior = np.array(
         [
-            [0, 0, 0, 1 / (_MIRROR_SPREAD * level), 1 / (_MIRROR_SPREAD * level)],
-            [0, 0, 0, 0.5, -0.5],  # half clear, half overcast where nothing tells
-            [1, -1, 0, 0, 0],
-            [0, 1, -1, 0, 0],
+            [0, 0, 0, 1 / (_MIRROR_SPREAD * level), 1 / (_MIRROR_SPREAD * level), 0],
+            [0, 0, 0, 0.5, -0.5, 0],  # half clear, half overcast where nothing tells
+            [1, -1, 0, 0, 0, 0],
+            [0, 1, -1, 0, 0, 0],
+            [0, 0, 0, 0, 0, 20.0],
         ]
     )
-    prior[2:] /= _CHROMA_SPREAD * (float(np.median(found)) + 0.02)
-    target = np.array([1 / _MIRROR_SPREAD, 0.0, 0.0, 0.0])
-    weight, answer = np.ones((count, 3)), np.zeros(5)
+    prior[2:4] /= _CHROMA_SPREAD * (float(middle.mean()) + 0.02)
+    target = np.array([1 / _MIRROR_SPREAD, 0.0, 0.0, 0.0, 0.3])
+    independent = np.minimum(_EFFECTIVE / np.array([count, max(len(found) - count, 1)]), 1.0)
+    base = np.repeat(independent, [count, len(found) - count])[:, None] / spread**2
+    share, answer = base, np.zeros(6)
     trust = np.ones(len(prior))
     for _ in range(15):
-        share = weight * min(_EFFECTIVE / count, 1.0) / spread**2
         pulled = trust[:, None] * prior
         normal = np.einsum("ncu,nc,ncv->uv", rows, share, rows) + pulled.T @ prior
         right = np.einsum("ncu,nc,nc->u", rows, share, found) + pulled.T @ target
-        root = np.linalg.cholesky(normal)
+        root = np.linalg.cholesky(normal + 1e-9 * np.eye(6))
         answer = nnls(root.T, np.linalg.solve(root, right))[0]
-        error = np.abs(found - rows @ answer)
-        weight = 1 / np.maximum(error / spread, 1.0)
+        share = base / np.maximum(np.abs(found - rows @ answer) / spread, 1.0)
         # bright colours are rare, but once seen they are no accident: the pull does not grow
-        trust[2:] = 1 / np.maximum(np.abs(prior[2:] @ answer), 1.0)
-    return answer[:3], answer[3:], weight
+        trust[2:4] = 1 / np.maximum(np.abs(prior[2:4] @ answer), 1.0)
+    return answer[:3], answer[3:5], share[:count]
 
 
 def road_light(observation: Observation, gains: Sequence[float] = ()) -> Array:

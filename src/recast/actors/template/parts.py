@@ -1,16 +1,16 @@
 """Which part of the vehicle a pixel shows, and the design moved to where its parts are seen.
 
-A colour alone tells parts apart: tail lamps are red, panes and grilles dark and grey, plates bright,
-and paint is what most of the body is. A design and a placement are right if the patches of each
+A colour alone tells parts apart: tail lamps are red, panes and grilles dark and grey, plates
+bright, and paint is what most of the body is. A design and a placement are right if the patches of each
 part lie on pixels that look like that part; and a photograph colours a patch only if it does.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, fields, is_dataclass, replace
+from dataclasses import dataclass, fields, replace
 from functools import cache
-from typing import Any, Literal, get_args, get_origin, get_type_hints
+from typing import Any, get_args, get_type_hints
 
 import cv2
 import numpy as np
@@ -20,7 +20,7 @@ from recast.actors.observation import Observation
 from recast.actors.place import minimum
 from recast.actors.template.body import TemplateBody
 from recast.actors.template.cloud import SurfaceCloud
-from recast.actors.template.design import VehicleDesign
+from recast.actors.template.design import VehicleDesign, limits
 from recast.actors.template.materials import PART_OF_MATERIAL, VehiclePart, label_body
 from recast.actors.template.proportions import TemplatePlacement
 from recast.actors.template.texture import SurfaceView
@@ -169,45 +169,38 @@ _MEASUREMENTS = 150.0  # independent ones in a view that shows the vehicle squar
 _LEAST_GAIN = 0.1  # nats
 _NUMBER_SPREAD = 0.15  # of its range, by which a number differs from the usual one
 _CHOICE_COST = 1.5  # nats of a choice that is not the usual one
-# Landmarks that colours tell and outlines do not; the others of the body stay as fitted.
-_LANDMARKS = ("belt_rear_z", "side_pillars_x")
 
 
 @dataclass(frozen=True)
 class DesignKnob:
-    """One number or choice of a design."""
+    """A choice of a design, or numbers that move together."""
 
     group: str
-    name: str
+    names: tuple[str, ...]
     limits: tuple[float, float] | None
     choices: tuple[Any, ...] = ()
 
-    def of(self, design: VehicleDesign) -> Any:
-        """Its value."""
-        return getattr(getattr(design, self.group), self.name)
-
-    def set(self, design: VehicleDesign, value: Any) -> VehicleDesign:
-        """The design with another value."""
-        changes: dict[str, Any] = {
-            self.group: replace(getattr(design, self.group), **{self.name: value})
-        }
-        return replace(design, **changes)
-
     def moved(self, design: VehicleDesign, step: float) -> Iterator[VehicleDesign]:
         """Designs with other values: a step of the range up and down, or every other choice."""
-        now = self.of(design)
+        part = getattr(design, self.group)
+        now = [getattr(part, name) for name in self.names]
         if self.limits is None:
-            yield from (self.set(design, one) for one in self.choices if one != now)
-            return
-        low, high = self.limits
-        for sign in (-1, 1):
-            value = float(np.clip(now + sign * step * (high - low), low, high))
-            if value != now:
-                yield self.set(design, value)
+            others = [[one] for one in self.choices if one != now[0]]
+        else:
+            low, high = self.limits
+            ways = [sign * step * (high - low) for sign in (-1, 1)]
+            others = [[float(np.clip(v + way, low, high)) for v in now] for way in ways]
+        for values in others:
+            changes: dict[str, Any] = {
+                self.group: replace(part, **dict(zip(self.names, values, strict=True)))
+            }
+            yield replace(design, **changes)
 
     def cost(self, design: VehicleDesign, usual: VehicleDesign) -> float:
-        """Nats that its difference from the usual value costs."""
-        value, expected = self.of(design), self.of(usual)
+        """Nats that the difference from the usual values costs; pairs are counted singly."""
+        if len(self.names) > 1:
+            return 0.0
+        value, expected = (getattr(getattr(d, self.group), self.names[0]) for d in (design, usual))
         if self.limits is None:
             return 0.0 if value == expected else _CHOICE_COST
         low, high = self.limits
@@ -220,25 +213,29 @@ def _cost(design: VehicleDesign, usual: VehicleDesign) -> float:
 
 @cache
 def knobs() -> tuple[DesignKnob, ...]:
-    """Every number and choice of a design's parts, by the annotations of its fields."""
+    """Every number and choice that colours tell, by the annotations of the design's fields."""
     found: list[DesignKnob] = []
     for group, kind in get_type_hints(VehicleDesign).items():
-        if not is_dataclass(kind):
+        if group == "rim":  # wheels are no part of the body
             continue
         hints = get_type_hints(kind, include_extras=True)
-        for field in fields(kind):
-            if group == "proportions" and field.name not in _LANDMARKS:
+        limits_of = limits(kind)
+        for name in (field.name for field in fields(kind)):
+            if group == "proportions" and name not in _LANDMARKS:
                 continue
-            hint = hints[field.name]
-            if hasattr(hint, "__metadata__"):
-                limits = hint.__metadata__[0]
-                if hint.__origin__ is float:
-                    found.append(DesignKnob(group, field.name, limits))
-            elif get_origin(hint) is Literal:
-                found.append(DesignKnob(group, field.name, None, get_args(hint)))
-            elif hint is bool:
-                found.append(DesignKnob(group, field.name, None, (False, True)))
+            options = () if name in limits_of else get_args(hints[name]) or (False, True)
+            found.append(DesignKnob(group, (name,), limits_of.get(name), options))
+    found += [DesignKnob(group, names, (0.0, 1.0)) for group, names in _TOGETHER]
     return tuple(found)
+
+
+# The body's landmark that colours tell and outlines do not; the others stay as fitted.
+_LANDMARKS = ("belt_rear_z",)
+_TOGETHER = (
+    ("rear", ("lamp_low", "lamp_high")),
+    ("front", ("lamp_z", "grille_z")),
+    ("side", ("pillar_b_x", "pillar_c_x")),
+)
 
 
 def settled(

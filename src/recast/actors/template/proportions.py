@@ -320,75 +320,63 @@ def overlap(first: Mask, second: Mask) -> float:
 def find_axles(
     body: TemplateBody, observation: Observation, placements: Sequence[TemplatePlacement]
 ) -> VehicleDesign:
-    """The design with axles and wheels where the photographs show them, and as large.
+    """The design with the axles where the photographs show wheels.
 
     A wheel is a bright rim in a dark tyre: the place along the side, within 0.07 lengths of the
-    usual one, and the radius at which rim and tyre differ most. A view counts the more, the more
-    squarely it shows the side, and only if the contrast falls to both sides of the best place: a
-    wheel that is seen from ahead is a dark bar anywhere. Unclear or hidden wheels keep their place.
+    usual one, where rim and tyre differ most. A view counts the more, the more squarely it shows
+    the side, and only if the contrast falls to both sides of the best place: a wheel that is seen
+    from ahead is a dark bar anywhere. Unclear or hidden wheels keep their place.
     """
     found: dict[str, Any] = {}
-    radii = []
     for name in ("front_axle_x", "rear_axle_x"):
         usual = getattr(body.design.proportions, name)
-        clear = [
+        seen = [
             _clearest(body, view, placement, usual)
             for view, placement in zip(observation.views, placements, strict=True)
         ]
-        contrast, place, radius = max(clear)
-        if contrast > _CLEAR_WHEEL:
-            found[name] = place
-            radii.append(radius)
-    if radii:
-        found["wheel_radius"] = float(np.mean(radii))
+        contrast, place = max(seen)
+        found[name] = place if contrast > _CLEAR_WHEEL else usual
     return replace(body.design, proportions=replace(body.design.proportions, **found))
 
 
 _CLEAR_WHEEL = 0.8  # contrast of rim and tyre, in deviations within the tyre
 _SQUARE = 0.15, 0.45  # sine of the angle to the side: from hardly seen to seen well
-_RADII = (0.9, 1.0, 1.1)
 
 
 def _clearest(
     body: TemplateBody, view: Observation, placement: TemplatePlacement, usual: float
-) -> tuple[float, float, float]:
-    """Contrast of rim and tyre where one view shows a wheel best, place and radius there."""
+) -> tuple[float, float]:
+    """Contrast of rim and tyre where one view shows a wheel best, and where: see `find_axles`."""
     side = np.sign(view.eye[1])
     squareness = (abs(view.eye[1]) - view.size[1] / 2) / np.linalg.norm(view.eye)
-    nothing = 0.0, usual, body.wheel_radius
     trust = float(ramp(np.array(squareness), *_SQUARE))
     if trust == 0:
-        return nothing
+        return 0.0, usual
     grey = cv2.cvtColor(view.rgba[..., :3], cv2.COLOR_RGB2GRAY).astype(np.float32)
-    angle, share = np.meshgrid(
+    angle, radius = np.meshgrid(
         np.linspace(0, 2 * np.pi, 48, endpoint=False), np.linspace(0.1, 0.97, 14)
     )
-    rim, tyre = share.ravel() < 0.62, share.ravel() > 0.76
+    rim, tyre = radius.ravel() < 0.62, radius.ravel() > 0.76
     candidates = usual + np.linspace(-0.07, 0.07, 29)
-    scores = np.zeros((len(_RADII), len(candidates)))
-    for row, factor in enumerate(_RADII):
-        radius = factor * body.wheel_radius
-        for column, fraction in enumerate(candidates):
-            disc = np.stack(
-                [
-                    body.x_at(fraction) + radius * (share * np.cos(angle)).ravel(),
-                    np.full(share.size, side * body.width / 2),
-                    radius * (1 + (share * np.sin(angle)).ravel()),
-                ],
-                -1,
-            )
-            placed = se3.apply(view.camera_from_object, placement.points(disc))
-            pixels, _ = view.camera.project(placed)
-            u, v = (pixels - 0.5).astype(np.float32).T
-            values = cv2.remap(grey, u[None], v[None], cv2.INTER_LINEAR)[0]
-            contrast = (values[rim].mean() - values[tyre].mean()) / (values[tyre].std() + 12.0)
-            away = abs(fraction - usual) / 0.07 + 2 * abs(factor - 1)
-            scores[row, column] = contrast - 0.3 * away
-    row, column = (int(i) for i in np.unravel_index(int(np.argmax(scores)), scores.shape))
-    if column in (0, len(candidates) - 1):  # still rising: no wheel is centred there
-        return nothing
-    radius = _RADII[row] * body.wheel_radius
-    return float(trust * scores[row, column]), float(candidates[column]), radius
+    scores = []
+    for fraction in candidates:
+        disc = np.stack(
+            [
+                body.x_at(fraction) + body.wheel_radius * (radius * np.cos(angle)).ravel(),
+                np.full(radius.size, side * body.width / 2),
+                body.wheel_radius * (1 + (radius * np.sin(angle)).ravel()),
+            ],
+            -1,
+        )
+        pixels, _ = view.camera.project(se3.apply(view.camera_from_object, placement.points(disc)))
+        u, v = (pixels - 0.5).astype(np.float32).T
+        values = cv2.remap(grey, u[None], v[None], cv2.INTER_LINEAR)[0]
+        contrast = values[rim].mean() - values[tyre].mean()
+        scores.append(contrast / (values[tyre].std() + 12.0) - 0.3 * abs(fraction - usual) / 0.07)
+    best = int(np.argmax(scores))
+    if best in (0, len(candidates) - 1):  # still rising: no wheel is centred there
+        return 0.0, usual
+    return trust * float(scores[best]), float(candidates[best])
 
 
 @dataclass(frozen=True)
