@@ -45,6 +45,7 @@ _WHITEST = 0.80  # reflectance of white paint: the light must explain at least t
 _BLACKEST = 0.008  # reflectance of black paint, mirrored light left out
 _LEAST_MIRROR = 0.5  # of the level; less is the shading's misfit, not a coat without gloss
 _MIRROR_SPREAD = 0.35  # of the mirrored light's factor around the level
+_CONTRAST, _CONTRAST_SPREAD, _CONTRAST_ROUNDS = (0.0, 1.3), 0.4, 4
 _CHROMA_SPREAD = 0.06  # of the paint's channels: four in five cars are white, grey or black
 _CLIPPED = 0.97  # display value from which a channel may be saturated
 _MISFIT = 0.15  # the model's shading is off by this share of the paint's brightness
@@ -64,12 +65,14 @@ class Daylight:
         mirror: factor on the light that the vehicle mirrors.
         clouds: hue of the mirrored sky, 0 (clear) to 1 (overcast).
         tint: (3,) colour of all light, mean 1.
+        contrast: how much brighter roofs are than flanks: 1 under a sky, 0 between studio lamps.
     """
 
     level: float = 1.0
     mirror: float = 1.0
     clouds: float = 0.0
     tint: tuple[float, float, float] = (1.0, 1.0, 1.0)
+    contrast: float = 1.0
 
 
 CLEAR_DAY = Daylight()
@@ -86,9 +89,9 @@ def environment(direction: Array, clouds: float = 0.0) -> Array:
     return (1 - ground) * above + ground * _ROAD
 
 
-def diffuse(normals: Array, heights: Array) -> Array:
+def diffuse(normals: Array, heights: Array, contrast: float = 1.0) -> Array:
     """Diffuse light (N, 1) on normals (N, 3): 1 facing up, darker below and near the ground."""
-    up = 0.5 + 0.5 * normals[:, 2]
+    up = 0.5 + 0.5 * contrast * normals[:, 2]
     near_ground = np.clip(heights / 0.5, 0.0, 1.0)
     return (0.26 + 0.74 * up * (0.55 + 0.45 * near_ground))[:, None]
 
@@ -116,7 +119,7 @@ def shade(
         gloss: (N,) factor on the Fresnel reflection of a clear coat.
         heights: (N,) metres above the ground.
     """
-    scattered = light.level * albedo * diffuse(normals, heights)
+    scattered = light.level * albedo * diffuse(normals, heights, light.contrast)
     shine = light.mirror * mirrored(normals, views, gloss, light.clouds)
     return linear_to_gamma(np.asarray(light.tint) * (scattered + shine))
 
@@ -180,20 +183,31 @@ def estimate_light(
         return Daylight(level, level, 0.5, tint), gamma_to_linear(SRGB[TemplateMaterial.PAINT])
     normals, heights = cloud.normals[painted], cloud.points[painted, 2]
     found = gamma_to_linear(colour) / np.asarray(tint)
-    across = diffuse(normals, heights)[:, 0]
+    flanks, full = (diffuse(normals, heights, one)[:, 0] for one in (0.0, 1.0))
     skies = [mirrored(normals, views, cloud.gloss[painted], clouds) for clouds in (0.0, 1.0)]
-    radiance, (clear, cloudy) = _split(found, across, skies[0], skies[1], level)
+    contrast = 1.0
+    for _ in range(_CONTRAST_ROUNDS):
+        across = flanks + contrast * (full - flanks)
+        radiance, (clear, cloudy), weight = _split(found, across, skies[0], skies[1], level)
+        # how much of the step from flank to roof the paint shows, drawn to all of it
+        step = (full - flanks)[:, None] * radiance
+        rest = found - flanks[:, None] * radiance - clear * skies[0] - cloudy * skies[1]
+        scale = (_MISFIT * np.median(found, axis=0) + 0.004) ** 2
+        share = weight * min(_EFFECTIVE / len(found), 1.0) / scale
+        pull = 1 / _CONTRAST_SPREAD**2
+        contrast = (np.sum(share * step * rest) + pull) / (np.sum(share * step**2) + pull)
+        contrast = float(np.clip(contrast, *_CONTRAST))
     level = max(level, float(radiance.mean()) / _WHITEST)
     total = float(clear + cloudy)
     mirror = float(np.clip(total, _LEAST_MIRROR * level, 2 * level))
-    light = Daylight(level, mirror, float(cloudy) / total if total > 0 else 0.5, tint)
+    light = Daylight(level, mirror, float(cloudy) / total if total > 0 else 0.5, tint, contrast)
     return light, np.clip(radiance / level, _BLACKEST, 0.9)
 
 
 def _split(
     found: Array, across: Array, clear: Array, cloudy: Array, level: float
-) -> tuple[Array, Array]:
-    """Radiance (3,) of the paint and the factors (2,) of both skies, from (N, 3) linear colours."""
+) -> tuple[Array, Array, Array]:
+    """Radiance (3,) of the paint, factors (2,) of both skies, weights (N, 3) of linear colours."""
     count = len(found)
     spread = _MISFIT * np.median(found, axis=0) + 0.004
     rows = np.zeros((count, 3, 5))
@@ -222,7 +236,7 @@ def _split(
         weight = 1 / np.maximum(error / spread, 1.0)
         # bright colours are rare, but once seen they are no accident: the pull does not grow
         trust[2:] = 1 / np.maximum(np.abs(prior[2:] @ answer), 1.0)
-    return answer[:3], answer[3:]
+    return answer[:3], answer[3:], weight
 
 
 def road_light(observation: Observation, gains: Sequence[float] = ()) -> Array:
