@@ -121,7 +121,7 @@ class TemplateBody:
             - s * (0.055 * above**2 + 0.05 * below**2)
             - taper
             + crease
-            + 0.012 * s * flare
+            + (0.012 + 0.12 * self.design.side.cladding) * s * flare
         )
 
     @property
