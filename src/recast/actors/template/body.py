@@ -24,6 +24,9 @@ if TYPE_CHECKING:
     from recast.actors.template.design import VehicleDesign
 
 
+_UPSWEEP = 0.10  # slope by which the underside rises towards the bumpers
+
+
 @dataclass(frozen=True)
 class BodyPanels:
     """Signed distances (N,) to the single panels at N points, negative on the inner side."""
@@ -88,6 +91,11 @@ class TemplateBody:
         """x in metres of a fraction of the length behind the front bumper."""
         return self.length * (0.5 - fraction)
 
+    @property
+    def bumper_low(self) -> float:
+        """Height of the lower edge of both bumpers, metres."""
+        return self.clearance + _UPSWEEP * 0.14 * self.length
+
     def shoulder_z(self, x: Array) -> Array:
         """Height of the lower body's upper profile along x: bonnet, window sill, boot lid."""
         return np.interp(x, *self._profile)
@@ -113,7 +121,7 @@ class TemplateBody:
             - s * (0.055 * above**2 + 0.05 * below**2)
             - taper
             + crease
-            + 0.012 * s * flare
+            + (0.012 + 0.12 * self.design.side.cladding) * s * flare
         )
 
     @property
@@ -146,7 +154,7 @@ class TemplateBody:
         side = np.abs(y) - self.half_width(x, z)
         shoulder = (z - self.shoulder_z(x) + 0.055 * lateral * across**2) * 0.95
         ends = np.maximum(np.abs(x) - 0.36 * L, 0.0)
-        bottom = self.clearance + 0.20 * ends**2 / (0.14 * L) - z
+        bottom = self.clearance + _UPSWEEP * ends**2 / (0.14 * L) - z
         edge = 0.09 * lateral
         ends = smooth_max([nose, tail], 0.05)
         lower = smooth_max([smooth_max([shoulder, side], edge), ends], edge)

@@ -230,8 +230,8 @@ def _front(
 
     # lower bumper: apron, intake, fog lamps
     plastic = _M.GLOSS_BLACK if front.bumper == "body" else _M.TRIM
-    floor = body.clearance + (0.05 if front.bumper == "body" else 0.10) * s
-    centre = max(floor + front.intake_height / 2 + 0.02, 0.285 * s)
+    floor = body.bumper_low + (0.02 if front.bumper == "body" else 0.08) * s
+    centre = max(floor + front.intake_height / 2 + 0.015, 0.285 * s)
     upper = centre + front.intake_height / 2
     if front.bumper == "black":
         labels[ahead & (z < max(upper + 0.05, front.plate_z * lead + 0.09))] = _M.TRIM
@@ -258,7 +258,8 @@ def _front(
 
     _grille(front, half, across, z, lead, ahead, labels)
     _headlamps(front, half, u, z, lead, (behind < 0.8), labels)
-    _plate(PLATE_SIZES[front.plate], labels, y, z, front.plate_z * lead, ahead)
+    height = max(front.plate_z * lead, body.bumper_low + 0.16)
+    _plate(PLATE_SIZES[front.plate], labels, y, z, height, ahead)
 
 
 def _grille(
@@ -380,7 +381,8 @@ def _rear(
     x, y, z = points.T
     ahead, across = x + body.length / 2, np.abs(y)
     behind = (normals[:, 0] < -0.25) & (ahead < 0.6)
-    bumper, apron = rear.bumper_z * H, min(rear.apron_z, rear.bumper_z - 0.04) * H
+    bumper = max(rear.bumper_z * H, body.bumper_low + 0.16)
+    apron = np.clip(rear.apron_z * H, body.bumper_low + 0.03, bumper - 0.06)
 
     # tailgate and bumper
     gate = behind & (across < 0.80 * half) & (z > bumper) & (panels.roof < -0.02)
@@ -394,14 +396,14 @@ def _rear(
         labels[behind & skid] = _M.SILVER
     mark = (np.abs(z - apron - 0.03) < 0.016) & (np.abs(across - 0.74 * half) < 0.09)
     labels[behind & mark] = _M.REFLECTOR
-    pipe = np.hypot((across - 0.62 * half) / 1.4, z - max(0.72 * apron, body.clearance + 0.09))
+    pipe = np.hypot((across - 0.62 * half) / 1.4, z - max(0.72 * apron, body.bumper_low + 0.05))
     shown = {"none": y > 9.0, "single": y > 0, "double": across > 0}[rear.exhaust]
     labels[behind & shown & (pipe < 0.038)] = _M.CHROME
     labels[behind & shown & (pipe < 0.028)] = _M.DARK
 
     # number plate in a recess below a handle strip
     size = PLATE_SIZES[front.plate]
-    height = rear.plate_z * H
+    height = max(rear.plate_z * H, body.bumper_low + 0.16)
     if abs(height - bumper) < size[1] / 2 + 0.03:  # on one side of the bumper's edge
         height = bumper + np.copysign(size[1] / 2 + 0.03, height - bumper)
     recess = np.maximum(across - size[0] / 2 - 0.075, np.abs(z - height) - size[1] / 2 - 0.03)
