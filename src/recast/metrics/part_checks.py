@@ -215,7 +215,8 @@ def _grown(mask: Mask, metres: float) -> Mask:
 
 def _disc(radius: float) -> Image:
     reach = max(1, round(radius * PIXELS_PER_METRE))
-    return cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * reach + 1, 2 * reach + 1))
+    element = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * reach + 1, 2 * reach + 1))
+    return np.asarray(element, np.uint8)
 
 
 def _alike(shown: Mask, real: Mask) -> tuple[float, float]:
@@ -235,7 +236,9 @@ def _windows(shown: SidePicture, real: SidePicture) -> PartCheck:
     overlap = (panes[0] & panes[1]).sum() / max((panes[0] | panes[1]).sum(), 1)
     if overlap < _PANES_ALIKE:
         return PartCheck(part, real.side, False, f"IoU {overlap:.2f}")
-    light = [float(np.median(one.lab[p][:, 0])) for one, p in zip((shown, real), panes, strict=True)]
+    light = [
+        float(np.median(one.lab[p][:, 0])) for one, p in zip((shown, real), panes, strict=True)
+    ]
     if abs(light[0] - light[1]) > _PANES_LIGHT:
         return PartCheck(part, real.side, False, f"light {light[0]:.0f}, photograph {light[1]:.0f}")
     return PartCheck(part, real.side, True)
@@ -335,7 +338,7 @@ def plate_places(picture: SidePicture) -> list[tuple[float, float, float]]:
     A plate is a rectangle that is lighter than its surroundings on at least three sides, and on
     the fourth no darker: white ones lie on white bumpers.
     """
-    light = np.where(picture.mask, picture.lab[..., 0], picture.paint[0]).astype(np.float32)
+    light = np.where(picture.mask, picture.lab[..., 0], picture.paint[0])
     rows = picture.rows(0.10, 0.66) & (np.abs(picture.across) < 0.45)
     score = np.zeros(light.shape, np.float32)
     for wide, tall in _PLATES:
@@ -368,7 +371,8 @@ def _moved(image: Array, right: int, down: int) -> Array:
     """The image as seen from a pixel that is so far to the right and down."""
     matrix = np.array([[1.0, 0.0, -right], [0.0, 1.0, -down]])
     size = (image.shape[1], image.shape[0])
-    return cv2.warpAffine(image, matrix, size, borderMode=cv2.BORDER_REPLICATE)
+    moved = cv2.warpAffine(image, matrix, size, borderMode=cv2.BORDER_REPLICATE)
+    return np.asarray(moved, np.float64)
 
 
 def _plate(shown: SidePicture, real: SidePicture) -> PartCheck:
@@ -381,5 +385,7 @@ def _plate(shown: SidePicture, real: SidePicture) -> PartCheck:
     if not any(at):
         return PartCheck("plate", real.side, False, "none at its place")
     if not at[0]:
-        return PartCheck("plate", real.side, False, f"a clearer one {drawn_places[0][1]:.2f} m high")
+        return PartCheck(
+            "plate", real.side, False, f"a clearer one {drawn_places[0][1]:.2f} m high"
+        )
     return PartCheck("plate", real.side, True)
