@@ -32,11 +32,14 @@ _AZIMUTHS: dict[Side, float] = {"front": 0.0, "left": 90.0, "rear": 180.0, "righ
 _INSET = 0.06  # metres from the side of the box to the plane: panels and wheels lie within
 _MARGIN = 0.10  # metres around the side of the box
 _ROUND = 0.35  # metres more beside its ends, whose corners are round and are seen beside the plane
+_LIGHT_RANGE, _HUE_RANGE = 40.0, 14.0  # CIE L, and a or b, between pictures of one paint
+_SHADES = 3  # cells of 6 CIE L by which one paint differs between its panels
 _LEAST_SEEN = 0.3  # share of the plane within the mask below which a side is not looked at
 _UNLIKE_PAINT = 16.0  # CIE76 from the own paint above which a pixel is no painted panel
 _PLACE = 0.12  # metres by which a lamp or a pane may be beside its place
 _AGREE = 0.6  # share of the part that must be at its place, and of what is drawn of it
 _WHEEL_PLACE, _WHEEL_APART, _WHEEL_LIKE = 0.15, 0.16, 0.5
+_LEAST_BESIDE = 60.0  # CIE L of what a dark wheel is seen before
 _WHEEL_RADII = (0.28, 0.31, 0.34, 0.37, 0.40)  # metres
 _PANES_ALIKE = 0.5  # IoU of window areas
 _PANES_LIGHT = 30.0  # CIE L by which panes may be lighter or darker than photographed
@@ -106,13 +109,19 @@ def cielab(rgb: Array) -> Array:
     return np.asarray(cv2.cvtColor(np.asarray(rgb, np.float32), cv2.COLOR_RGB2LAB), np.float64)
 
 
-def paint_colour(cutout: ScoredCutout) -> Array:
-    """(3,) CIE Lab of the paint: the densest colour of the body.
+def paint_colours(cutouts: Sequence[ScoredCutout]) -> Array:
+    """(N, 3) CIE Lab of a vehicle's paint in each of its pictures.
 
-    The densest one between a quarter and three quarters of the outline's height, whose pixels are
-    mostly panels; a median would mix in wheels and glass. Dark colours count less, as tyres, glass
-    and grilles are dark on every car.
+    The densest colour between a quarter and four fifths of the outline's height, where pixels are
+    mostly panels; a median would mix in wheels and glass. Where glass or trim is denser in one
+    picture than the panels, the pictures' common colour decides.
     """
+    single = np.array([_densest(one, None) for one in cutouts])
+    return np.array([_densest(one, np.median(single, axis=0)) for one in cutouts])
+
+
+def _densest(cutout: ScoredCutout, about: Array | None) -> Array:
+    """(3,) CIE Lab of the densest colour, near one that is given."""
     rows = np.flatnonzero(cutout.mask.any(axis=1))
     if not len(rows):
         return np.zeros(3)
@@ -120,13 +129,20 @@ def paint_colour(cutout: ScoredCutout) -> Array:
     top, tall = rows[0], rows[-1] - rows[0]
     body[: round(top + 0.25 * tall)] = False
     body[round(top + 0.80 * tall) :] = False
-    colours = cielab(cutout.rgb)[body]
+    lab = cielab(cutout.rgb)
+    colours = lab[body]
+    if about is not None:
+        apart = np.abs(colours - about)
+        colours = colours[(apart[:, 0] < _LIGHT_RANGE) & (apart[:, 1:].max(axis=1) < _HUE_RANGE)]
     if len(colours) < 20:
-        return cielab(cutout.rgb)[cutout.mask].mean(axis=0)
-    cells = np.round(colours / 6.0).astype(int)
-    unique, index, counts = np.unique(cells, axis=0, return_inverse=True, return_counts=True)
-    # neighbours count too, so that a shaded panel is not lost to a small flat one
-    near = np.abs(unique[:, None] - unique[None]).max(axis=2) <= 1
+        return np.asarray(np.median(lab[cutout.mask], axis=0) if about is None else about)
+    unique, index, counts = np.unique(
+        np.round(colours / 6.0).astype(int), axis=0, return_inverse=True, return_counts=True
+    )
+    # neighbours count too, over a wide range of light: panels are shaded, trim and plates are flat
+    apart = np.abs(unique[:, None] - unique[None])
+    near = (apart[..., 0] <= _SHADES) & (apart[..., 1:].max(axis=2) <= 1)
+    # dark colours count less, as tyres, glass and grilles are dark on every car
     weight = (near @ counts) * np.clip(unique[:, 0] * 6.0 / 30.0, 0.35, 1.0)
     best = near[int(np.argmax(weight))]
     return np.asarray(np.median(colours[best[index.ravel()]], axis=0))
@@ -173,15 +189,19 @@ def side_picture(
 
 
 def part_checks(
-    shown: ScoredCutout, truth: ScoredCutout, view: ActorView, size: ArrayLike
+    shown: ScoredCutout,
+    truth: ScoredCutout,
+    view: ActorView,
+    size: ArrayLike,
+    paints: tuple[Array, Array],
 ) -> list[PartCheck]:
     """The checks of all sides that a view shows.
 
     Args:
         shown, truth: render and photograph by the view's camera.
         size: (3,) length, width, height of the vehicle's box, metres.
+        paints: (3,) CIE Lab of the paint in the render and in the photograph, see `paint_colours`.
     """
-    paints = paint_colour(shown), paint_colour(truth)
     checks = []
     for side in _AZIMUTHS:
         drawn_side = side_picture(shown, view, size, side, paints[0])
@@ -261,18 +281,23 @@ def _windows(shown: SidePicture, real: SidePicture) -> PartCheck:
     return PartCheck(part, real.side, True)
 
 
-def wheel_places(picture: SidePicture) -> list[float]:
-    """Metres from the middle of the side of what looks like a wheel: a dark ring on the ground
-    about a lighter disc, or a rim with spokes."""
-    light = np.where(picture.mask, picture.lab[..., 0], 0.0).astype(np.float32)
+def wheel_places(picture: SidePicture, dark: bool = False) -> list[float]:
+    """Metres from the middle of the side of what looks like a wheel on the ground.
+
+    Args:
+        dark: look for dark discs between lighter surroundings; without, for light rims in dark
+            tyres, which are seen before a dark body too.
+    """
+    beside = max(float(picture.paint[0]), _LEAST_BESIDE) if dark else 0.0
+    light = np.where(picture.mask, picture.lab[..., 0], beside).astype(np.float32)
     inside = picture.mask.astype(np.float32)
     best = np.full(picture.mask.shape[1], -1.0)
     for radius in _WHEEL_RADII:
-        reach = round(radius * PIXELS_PER_METRE)
-        y, x = np.mgrid[-reach : reach + 1, -reach : reach + 1] / reach
+        reach = round((1.3 if dark else 1.0) * radius * PIXELS_PER_METRE)
+        y, x = np.mgrid[-reach : reach + 1, -reach : reach + 1] / (radius * PIXELS_PER_METRE)
         away = np.hypot(x, y)
-        disc = away <= 1.0
-        pattern = np.where(away < 0.66, 1.0, -1.0) * disc
+        disc = away <= (1.3 if dark else 1.0)
+        pattern = np.where(away < 1.0, -1.0, 1.0) if dark else np.where(away < 0.66, 1.0, -1.0)
         pattern = np.where(disc, pattern - pattern[disc].mean(), 0.0)
         pattern = (pattern / np.sqrt((pattern**2).sum())).astype(np.float32)
         ones = disc.astype(np.float32)
@@ -282,7 +307,7 @@ def wheel_places(picture: SidePicture) -> list[float]:
         square = cv2.filter2D(light**2, -1, ones, borderType=cv2.BORDER_CONSTANT)
         spread = np.sqrt(np.maximum(square - count * mean**2, 1e-3) + count * 3.0**2)
         full = cv2.filter2D(inside, -1, ones, borderType=cv2.BORDER_CONSTANT) / count
-        likeness = np.where(full > 0.9, value / spread, -1.0)
+        likeness = np.where(full > (0.6 if dark else 0.9), value / spread, -1.0)
         row = picture.mask.shape[0] - (radius - picture.low[1]) * PIXELS_PER_METRE
         room = round(0.07 * PIXELS_PER_METRE)
         band = likeness[round(row) - room : round(row) + room + 1]
@@ -294,10 +319,13 @@ def wheel_places(picture: SidePicture) -> list[float]:
 
 
 def _wheels(shown: SidePicture, real: SidePicture) -> PartCheck:
-    places = wheel_places(real)
-    if len(places) != 2 or places[1] - places[0] < 0.4 * real.width:
+    for dark in (False, True):
+        places = wheel_places(real, dark)
+        if len(places) == 2 and places[1] - places[0] > 0.4 * real.width:
+            break
+    else:
         return PartCheck("wheels", real.side, None, f"photograph: {len(places)} found")
-    drawn_places = wheel_places(shown)
+    drawn_places = wheel_places(shown, dark)
     if len(drawn_places) != 2:
         return PartCheck("wheels", real.side, False, f"{len(drawn_places)} found")
     off = float(np.abs(np.subtract(drawn_places, places)).max())

@@ -12,7 +12,7 @@ import numpy as np
 from recast.arrays import Array, Mask
 from recast.geometry.colour import linear_to_srgb, srgb_to_linear
 from recast.metrics.actor_scores import ScoredCutout
-from recast.metrics.part_checks import cielab, paint_colour
+from recast.metrics.part_checks import cielab
 
 _FINE, _COARSE = 0.004, 0.016  # of the vehicle's longer side: what lies between is sharpness
 _EDGE = 0.02  # share of it beside the outline that does not count
@@ -43,16 +43,15 @@ def light_gain(first: Array, first_mask: Mask, other: Array, other_mask: Mask) -
     return np.asarray(gain if low < gain.min() and gain.max() < high else np.ones(3))
 
 
-def paint_distance(shown: ScoredCutout, truth: ScoredCutout, gain: Array | None = None) -> float:
-    """CIE76 distance of the paints of render and photograph.
+def paint_distance(shown: Array, truth: Array, gain: Array) -> float:
+    """CIE76 distance of the paints (3,) of render and photograph, both CIE Lab.
 
     Args:
         gain: (3,) factors of the photograph's linear light, see `light_gain`.
     """
-    if gain is not None:
-        lit = linear_to_srgb(srgb_to_linear(truth.rgb) * gain)
-        truth = ScoredCutout(np.asarray(lit), truth.alpha)
-    return float(np.linalg.norm(paint_colour(shown) - paint_colour(truth)))
+    display = cv2.cvtColor(truth.reshape(1, 1, 3).astype(np.float32), cv2.COLOR_LAB2RGB)
+    lit = linear_to_srgb(srgb_to_linear(np.asarray(display, np.float64)) * gain)
+    return float(np.linalg.norm(shown - cielab(lit)[0, 0]))
 
 
 def fine_energy_share(shown: Array, truth: Array, mask: Mask) -> float:

@@ -37,7 +37,7 @@ from recast.metrics.actor_scores import (
     read_cases,
     score_view,
 )
-from recast.metrics.part_checks import PartCheck, part_checks, passed_share
+from recast.metrics.part_checks import PartCheck, paint_colours, part_checks, passed_share
 from recast.metrics.perceptual import ImageDistance
 from recast.metrics.table import rounded
 from recast.metrics.vehicle_looks import light_gain, paint_distance, sharpness, structure_distance
@@ -232,18 +232,21 @@ def _judged(
         renders = [drawn(placed.gaussians, asset.low_pass, view) for view in case.targets]
     source = inputs[0].load()
     source_rgb, source_mask = source[..., :3] / 255.0, source[..., 3] > 127
+    photographs = [view.load() for view in case.targets]
+    truths = [photographed(rgba) for rgba in photographs]
+    paints = zip(paint_colours(renders), paint_colours(truths), strict=True)
     judged, compared = [], []
-    for view, shown in zip(case.targets, renders, strict=True):
-        rgba = view.load()
-        truth = photographed(rgba)
+    for view, shown, rgba, truth, paint in zip(
+        case.targets, renders, photographs, truths, paints, strict=True
+    ):
         gain = light_gain(source_rgb, source_mask, rgba[..., :3] / 255.0, rgba[..., 3] > 127)
         scores = {
-            "paint": paint_distance(shown, truth, gain),
+            "paint": paint_distance(*paint, gain),
             "sharpness": sharpness(shown, truth),
             "structure": structure_distance(shown, truth),
             **score_view(shown, truth, distances),
         }
-        checks = tuple(part_checks(shown, truth, view, case.size))
+        checks = tuple(part_checks(shown, truth, view, case.size, paint))
         apart = min(_apart_deg(view, one) for one in inputs)
         result = ViewResult(view.name, view.azimuth_deg, apart, scores, checks)
         judged.append(result)
