@@ -24,7 +24,7 @@ from recast.metrics.actor_scores import (
 )
 from recast.recar import begin_set, finish_set, regular_azimuths, write_identity
 from recast.splats import CLASSIC
-from recast.studies.actors import ComparedView, comparison_sheet
+from recast.studies.sheets import ComparedView, comparison_sheet
 from support.crops import RESERVED, SIZE, photograph, two_coloured_box, write_crops
 from support.vehicle_sets import HEIGHT, WIDTH, identity_record, pictures, set_record
 

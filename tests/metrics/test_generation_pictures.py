@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from recast.metrics.actor_scores import ScoredCutout, photographed
-from recast.studies.actors import (
+from recast.studies.sheets import (
     TILE,
     SheetRow,
     applied_caption,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
@@ -23,25 +24,24 @@ PERTURBED = shared.option(
 
 
 @dataclass(frozen=True)
-class EvalActor:
-    """Make vehicles from one or several images and compare them with held-out images; or make
-    and refine the vehicles of a log's tracks and compare them with the log's held-out images."""
+class EvalPhotographs:
+    """Make vehicles from one or several images and compare them with photographs that were
+    reserved: parts, paint, sharpness, outline and pixels."""
 
-    model: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="MODEL")]
-    """Generator of the vehicles: template, an installed generator, a vehicle file or a model
-    folder."""
-    set: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="SET")]
-    """Folder of real crops (ID/input_views, ID/reserved_views), a vehicle set, or a log folder."""
+    set: Annotated[tyro.conf.Positional[tuple[Path, ...]], tyro.conf.arg(metavar="SET...")]
+    """Folders of real crops (ID/input_views, ID/reserved_views) or vehicle sets, of which the
+    held-out vehicles are used."""
     out: Path
-    """New folder for metrics.json and a image of every vehicle."""
-    scene: Annotated[
-        Path | None, shared.option("Scene folder of the log, with models of the tracks.")
-    ] = None
-    track: Annotated[
-        shared.Names, shared.option("Id of a track of the log to evaluate. May be repeated.")
+    """New folder for metrics.json, and a sheet and the renders of every vehicle."""
+    model: Annotated[
+        shared.Names,
+        shared.option(
+            "NAME=WHAT or WHAT: template, an installed generator, package.module:attribute, a "
+            "vehicle file or a model folder; or the renders of an earlier run (views:OUT/NAME). "
+            "May be repeated; the others are compared with the first.",
+            "auto",
+        ),
     ] = ()
-    segmenter: Annotated[str, shared.SEGMENTER] = "box-lidar"
-    axes: Annotated[str, shared.AXES] = "auto"
     seed: Annotated[int, shared.SEED] = 0
     limit: Annotated[int | None, shared.LIMIT] = None
     views: Annotated[int, shared.VIEWS] = 1
@@ -51,26 +51,22 @@ class EvalActor:
     json: Annotated[bool, JSON] = False
 
     def __call__(self) -> None:
-        from recast.actors import make_generator
         from recast.core.diagnostics import ProgressBar
-        from recast.logs.store import LOG_FILE
         from recast.metrics.perceptual import load_distances
-        from recast.studies.actors import evaluate_actors, evaluation_table
+        from recast.studies.generation.rows import parse_models
+        from recast.studies.photographs import evaluate_photographs, photographs_table
         from recast.weights import located
 
-        if (self.set / LOG_FILE).is_file():
-            self._judge_tracks()
-            return
         distances = load_distances(
             located("--lpips-weights", self.lpips_weights),
             located("--clip", self.clip),
             located("--dino", self.dino),
         )
-        generator = make_generator(self.model, self.axes)
+        named = [text if "=" in text else f"{_label(text)}={text}" for text in self.model]
         console = console_for(self.json)
         with ProgressBar("vehicles", console) as progress:
-            evaluation = evaluate_actors(
-                generator,
+            evaluation = evaluate_photographs(
+                {name: one.source for name, one in parse_models(named or ["auto=auto"]).items()},
                 self.set,
                 self.out,
                 seed=self.seed,
@@ -81,16 +77,46 @@ class EvalActor:
             )
         console.print(f"wrote {self.out}", markup=False)
         if self.json:
-            from recast.cli.rows.results import actor_rows
+            from recast.cli.rows.results import photograph_rows
 
-            print_json(actor_rows(evaluation))
+            print_json(photograph_rows(evaluation))
             return
-        console.print(evaluation_table(evaluation))
-        for vehicle, reason in evaluation.failures.items():
-            console.print(f"not made: {vehicle}: {reason}", markup=False)
+        console.print(photographs_table(evaluation))
+        for one in evaluation.generators:
+            told = f"{one.name}: {one.undecided} part checks are not decided by the photographs"
+            console.print(told, markup=False)
+            for vehicle, reason in one.failures.items():
+                console.print(f"not made by {one.name}: {vehicle}: {reason}", markup=False)
 
-    def _judge_tracks(self) -> None:
-        from recast.core.errors import InputError
+
+def _label(source: str) -> str:
+    """Name of a generator in tables and folders: what it is called without the folders around."""
+    last = re.split(r"[/:]", source.rstrip("/"))[-1]
+    return re.sub(r"[^A-Za-z0-9._-]", "-", last).lstrip("._-")[:40] or "model"
+
+
+@dataclass(frozen=True)
+class EvalActor:
+    """Make and refine the vehicles of a log's tracks and compare them with the log's held-out
+    images."""
+
+    model: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="MODEL")]
+    """Generator of the vehicles: auto, template, an installed generator, a vehicle file or a model
+    folder."""
+    log: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="LOG")]
+    """Log folder."""
+    out: Path
+    """New folder for metrics.json, and a folder of every track."""
+    scene: Annotated[Path, shared.option("Scene folder of the log, with models of the tracks.")]
+    track: Annotated[
+        shared.Names, shared.option("Id of a track of the log to evaluate. May be repeated.")
+    ] = ()
+    segmenter: Annotated[str, shared.SEGMENTER] = "box-lidar"
+    axes: Annotated[str, shared.AXES] = "auto"
+    seed: Annotated[int, shared.SEED] = 0
+    json: Annotated[bool, JSON] = False
+
+    def __call__(self) -> None:
         from recast.logs import read_log
         from recast.reconstruction import read_training_config
         from recast.runs.actor import ActorMakers
@@ -98,13 +124,11 @@ class EvalActor:
         from recast.scene import load_scene
         from recast.studies.actors import evaluate_tracks, tracks_table
 
-        if self.scene is None:
-            raise InputError("--scene", "scene", "is not given", "name the scene of this log")
         makers = ActorMakers.named(self.model, self.segmenter, self.axes)
         console = console_for(self.json)
         with SamplingProgress(console) as progress:
             results = evaluate_tracks(
-                read_log(self.set),
+                read_log(self.log),
                 load_scene(self.scene),
                 read_training_config(self.scene),
                 self.track,
@@ -150,8 +174,8 @@ class EvalGeneration:
     """Target views: set (the cameras of the set) or orbit (the paper's: 512 x 512 pixels, 40
     degrees, at twice the longest side of the box)."""
     placement: Literal["views", "canonical"] = "views"
-    """Placement of vehicles in their box: views (by the input view, as in `recast eval actor`) or
-    canonical (by the model's forward axis, which the model must have learnt)."""
+    """Placement of vehicles in their box: views (by the input view, as in `recast eval
+    photographs`) or canonical (by the model's forward axis, which the model must have learnt)."""
     seed: Annotated[int, shared.SEED] = 0
     limit: Annotated[int | None, shared.LIMIT] = None
     workers: Annotated[int, shared.WORKERS] = 1
@@ -269,5 +293,10 @@ def _perturbations(what: str | None) -> PerturbationConfig | None:
 Eval = shared.group(
     "eval",
     "Evaluate generators of vehicles on held-out images; recast-bridges scores rollouts.",
-    {"actor": EvalActor, "generation": EvalGeneration, "inputs": EvalInputs},
+    {
+        "photographs": EvalPhotographs,
+        "actor": EvalActor,
+        "generation": EvalGeneration,
+        "inputs": EvalInputs,
+    },
 )

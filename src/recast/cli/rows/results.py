@@ -20,9 +20,10 @@ from recast.recar.turntable import TurntableFit
 from recast.recar.vehicle_set import VehicleSet
 from recast.runs.run_folder import METRICS_FILE
 from recast.runs.scores import read_metrics
-from recast.studies.actors import ActorEvaluation, TrackResult
+from recast.studies.actors import TrackResult
 from recast.studies.closed_loop import GridResults
 from recast.studies.generation.report import STUDY_COLUMNS, StudyBlock
+from recast.studies.photographs import PHOTOGRAPH_COLUMNS, PhotographEvaluation
 from recast.studies.verdicts import PartLoss, VerdictCounts
 from recast.trellis.checkpoints import ModelCheck
 
@@ -242,27 +243,21 @@ def candidate_rows(candidates: Sequence[CandidateRecord]) -> Rows:
     }
 
 
-def actor_rows(evaluation: ActorEvaluation) -> Rows:
-    """Mean scores of each vehicle and of all, and the vehicles that could not be made."""
-    vehicles = [
-        {"vehicle": one.id, "views": len(one.views), **_scores(one.mean)}
-        for one in evaluation.vehicles
-    ]
-    views = sum(len(one.views) for one in evaluation.vehicles)
-    failures = [{"vehicle": name, "reason": why} for name, why in evaluation.failures.items()]
-    return {
-        "vehicles": vehicles,
-        "mean": [
-            {
-                "generator": evaluation.generator,
-                "seed": evaluation.seed,
-                "vehicles": len(vehicles),
-                "views": views,
-                **_scores(evaluation.mean),
-            }
-        ],
-        "failures": failures,
-    }
+def photograph_rows(evaluation: PhotographEvaluation) -> Rows:
+    """Scores of each vehicle and means by generator, and the vehicles that could not be made."""
+    vehicles, means, failures = [], [], []
+    for one in evaluation.generators:
+        for vehicle in one.vehicles:
+            who = {"generator": one.name, "vehicle": vehicle.id, "views": len(vehicle.views)}
+            vehicles.append({**who, **_scores(vehicle.mean)})
+        for over, mean in (("all", one.mean), ("far", one.far)):
+            who = {"generator": one.name, "seed": evaluation.seed, "over": over}
+            means.append({**who, **_scores(mean)})
+        failures += [
+            {"generator": one.name, "vehicle": name, "reason": why}
+            for name, why in one.failures.items()
+        ]
+    return {"vehicles": vehicles, "mean": means, "failures": failures}
 
 
 def track_rows(results: Sequence[TrackResult]) -> Rows:
@@ -325,7 +320,7 @@ def _scores(scores: Mapping[str, float]) -> dict[str, float]:
 
 def _key(score: str) -> str:
     """The key of a score; CLIP scores are cosines times 100, which is no unit."""
-    unit = STUDY_COLUMNS[score].unit
+    unit = {**PHOTOGRAPH_COLUMNS, **STUDY_COLUMNS}[score].unit
     return with_unit(score, "" if unit == "x100" else unit)
 
 

@@ -45,8 +45,8 @@ from recast.metrics.perceptual import Embedder, ImageDistance, load_distances, l
 from recast.metrics.table import rounded
 from recast.recar.perturb import PerturbationConfig, perturb
 from recast.splats import Gaussians
-from recast.studies.actors import strip, tile, tile_window
 from recast.studies.generation.rows import VIEWS, StudyModel, read_views, vehicle_file
+from recast.studies.sheets import strip, tile, tile_window
 
 Features = NDArray[np.float32]
 Placement = Literal["views", "canonical"]

@@ -37,7 +37,6 @@ from recast.metrics.actor_scores import (
 from recast.metrics.table import SAMPLES, rounded
 from recast.recar.perturb import PerturbationConfig
 from recast.recar.views import Image
-from recast.studies.actors import SheetRow, applied_caption, pages, sheet
 from recast.studies.generation.cells import (
     CellTask,
     Measures,
@@ -65,6 +64,7 @@ from recast.studies.generation.rows import (
     vehicle_hash,
     view_name,
 )
+from recast.studies.sheets import SheetRow, applied_caption, pages, sheet
 
 RECIPE = 3
 """Changes when the same model and vehicle give other scores, so that older cells are made anew."""
