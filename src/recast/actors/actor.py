@@ -33,6 +33,9 @@ from recast.splats import (
 )
 from recast.splats.sh import C0
 
+UNEVEN = 1.6
+"""Brightness of one side over the other from which on a report says so; cars are painted alike on
+both, and the template's are within 1.1."""
 LEAST_PIXELS = 1.0
 """A vehicle of which an image shows less than this is not visible there."""
 _REACH = 3.5  # deviations: at 3.33 even an opaque Gaussian falls below the 1/255 that is drawn
@@ -262,6 +265,8 @@ class RegistrationReport(Record):
             it been free to.
         lidar_points: number of LiDAR points on the track, all sweeps.
         lidar_by_side: number of LiDAR points near each face of the box.
+        floaters: number of Gaussians beside the vehicle that were left out.
+        left_over_right: brightness of what faces left over that of what faces right, linear light.
     """
 
     axes: str
@@ -280,15 +285,23 @@ class RegistrationReport(Record):
     ground_gap: float
     lidar_points: int
     lidar_by_side: dict[str, int]
+    floaters: int = 0
+    left_over_right: float = 1.0
 
     def explain(self) -> str:
         """A few lines for people."""
+        faults = [f"left out {self.floaters} floating Gaussians"] if self.floaters else []
+        ratio = max(self.left_over_right, 1 / self.left_over_right)
+        if ratio > UNEVEN:
+            brighter = "left" if self.left_over_right > 1 else "right"
+            faults.append(f"{brighter} side {ratio:.1f} times as bright: light may be baked in")
         sides = ", ".join(f"{side} {count}" for side, count in self.lidar_by_side.items())
         votes = ", ".join(f"{kind} {vote:+.1f}" for kind, vote in self.front.votes.items())
         turned = "turned by 180 degrees" if self.front.flipped else "kept"
         ended = "converged" if self.icp_converged else "stopped"
         return "\n".join(
             [
+                *faults,
                 f"scale {self.initial_scale:.3f} from the length; fills {self.width_over_box:.2f} "
                 f"of the box's width, {self.height_over_box:.2f} of its height",
                 f"front {turned} ({votes})",

@@ -16,7 +16,7 @@ from typing import TypeVar
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from scipy.ndimage import median_filter
+from scipy.ndimage import binary_dilation, label, median_filter
 from scipy.spatial import cKDTree
 
 from recast.arrays import Array
@@ -58,6 +58,40 @@ def outer_surface(gaussians: Gaussians) -> FitSurface:
     kept = opaque[outside]
     points = points[outside]
     return FitSurface(points, _normals(gaussians, kept, points), kept)
+
+
+# Parts of an asset: cells along its length at most (14 cm of a car), Gaussians for each square of
+# that many, and the share of its opaque Gaussians from which on a part that touches no other
+# belongs to it, as a trailer does.
+_CELLS, _PER_SQUARE, _PART = 32, 16, 0.03
+
+
+def belonging(gaussians: Gaussians) -> NDArray[np.bool_]:
+    """Which Gaussians (N,) belong to an asset and do not float around it.
+
+    Image-to-3D models leave clusters in the air. Opaque Gaussians in neighbouring cells are one
+    part; small parts and whatever lies beside the others are floaters.
+    """
+    means = gaussians.means.detach().numpy().astype(np.float64)
+    solid = torch.sigmoid(gaussians.logit_opacities.detach()).numpy() > _MIN_OPACITY
+    if not solid.any():
+        return np.ones(len(means), bool)
+    count = int(np.clip(np.sqrt(solid.sum() / _PER_SQUARE), 4, _CELLS))
+    low, high = np.quantile(means[solid], [0.05, 0.95], axis=0)  # not the floaters' own extent
+    edge = max(float((high - low).max()), 1e-9) / count
+    # Far floaters share the outermost cells.
+    cells = np.clip(np.floor((means - low) / edge), -2 * count, 3 * count).astype(np.int64)
+    cells -= cells.min(axis=0)
+    index = tuple(cells.T)
+    filled = np.zeros(cells.max(axis=0) + 1, np.int64)
+    np.add.at(filled, tuple(cells[solid].T), 1)
+    everywhere = np.ones((3, 3, 3), bool)
+    part, parts = label(filled > 0, structure=everywhere)
+    size = np.bincount(part.ravel(), filled.ravel(), parts + 1)
+    size[0] = 0
+    kept = (size >= _PART * solid.sum()) | (size == size.max())
+    kept[0] = False
+    return np.asarray(binary_dilation(kept[part], everywhere)[index])
 
 
 def require_volume(points: Array) -> None:

@@ -17,7 +17,7 @@ from scipy.optimize import minimize
 
 from recast.actors.actor import triple
 from recast.actors.generate import Asset
-from recast.actors.icp import Fit, FitSurface, bounds, extent, outer_surface
+from recast.actors.icp import Fit, FitSurface, belonging, bounds, extent, outer_surface
 from recast.actors.insert import compare_views
 from recast.actors.observation import Observation
 from recast.arrays import Array
@@ -110,15 +110,19 @@ class Start:
 
 
 def stood_up(asset: Asset) -> tuple[Gaussians, FitSurface]:
-    """An asset with its axes turned upright, in its own units, and its outer surface. Raises
-    InputError: it is hardly opaque, has no volume, or has values that are not finite or out of
-    range, if only at the size of a box."""
+    """An asset without floaters, its axes turned upright, in its own units, and its outer surface.
+    Raises InputError: it is hardly opaque, has no volume, or has values that are not finite or out
+    of range, if only at the size of a box."""
     where, mend = f"asset of {asset.generator}", "use another seed, or export the asset again"
     fault = asset.gaussians.fault()
     if fault is not None:
         raise InputError(where, *fault, mend)
     turn = se3.from_rotation_translation(asset.axes.rotation(), np.zeros(3))
-    gaussians = asset.gaussians.detach().transformed(torch.from_numpy(turn))
+    gaussians = asset.gaussians.detach()
+    kept = belonging(gaussians)
+    if not kept.all():
+        gaussians = gaussians.select(torch.from_numpy(kept))
+    gaussians = gaussians.transformed(torch.from_numpy(turn))
     try:
         surface = outer_surface(gaussians)
     except ValueError as error:

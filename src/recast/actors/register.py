@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from recast.actors.actor import (
@@ -58,12 +59,15 @@ from recast.arrays import Array
 from recast.core.diagnostics import Progress
 from recast.core.errors import InputError
 from recast.geometry import se3
+from recast.geometry.colour import GAMMA
 from recast.logs import DrivingLog, Track, track_points
 from recast.scene.actor import draw
 from recast.splats import Gaussians, LowPass
+from recast.splats.sh import C0
 
 _LIDAR_POINTS = 6000
 _SURFACE_POINTS = 4000  # used in the yaw search
+_BLACK = 0.02  # display value: less is noise where brightness is compared
 _SIDE_BAND = 0.25  # metres inside a face of the box within which points count for that side
 
 
@@ -114,6 +118,8 @@ def register(asset: Asset, observation: Observation, log: DrivingLog, track: Tra
         ground_gap=float(free.apply(placed.points)[:, 2].min() + size[2] / 2),
         lidar_points=len(points),
         lidar_by_side=lidar_by_side(np.asarray(points, np.float64), size),
+        floaters=len(asset.gaussians) - len(gaussians),
+        left_over_right=_left_over_right(gaussians, result.apply(placed.points), surface.index),
     )
     return Actor(
         track_id=track.track_id,
@@ -125,6 +131,15 @@ def register(asset: Asset, observation: Observation, log: DrivingLog, track: Tra
         source=observation.rgba,
         low_pass=asset.low_pass,
     )
+
+
+def _left_over_right(gaussians: Gaussians, points: Array, index: NDArray[np.int64]) -> float:
+    """Linear brightness of the left third of a placed surface (N, 3) over that of the right one."""
+    look = (0.5 + C0 * gaussians.sh[index, 0]).clamp(_BLACK, 1).mean(dim=1).numpy() ** GAMMA
+    low, high = bounds(points)
+    across = (points[:, 1] - low[1]) / (high[1] - low[1])
+    left, right = look[across > 2 / 3], look[across < 1 / 3]
+    return float(left.mean() / right.mean()) if len(left) and len(right) else 1.0
 
 
 def lidar_by_side(points: Array, size: Array) -> dict[str, int]:
