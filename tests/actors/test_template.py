@@ -24,7 +24,7 @@ from recast.actors.template.design import (
 )
 from recast.actors.template.lighting import fit_harmonics, sh_basis, shade
 from recast.actors.template.materials import BODY_PART, BodyPart, label_body
-from recast.actors.template.proportions import fit_shape
+from recast.actors.template.proportions import fit_shapes
 from recast.scene.actor import look_at
 from recast.splats import Gaussians, rasterize
 from support import made_up_actors as made_up
@@ -228,14 +228,14 @@ def test_fit_follows_the_points() -> None:
     truth = TemplateBody(size, STYLES["mpv"])
     points, _ = sample(truth.distance, np.array([-2.2, 0, 0]), np.array([0.5, 0.9, 1.7]), 0.06, rng)
     shifted = points + np.array([0.08, -0.05, -size[2] / 2])
-    fit = fit_shape("car", size, shifted, rng)
+    fit = fit_shapes("car", size, shifted, rng)[0]
     assert fit.style in ("mpv", "hatchback")
     assert fit.median_distance < 0.03
     np.testing.assert_allclose(fit.offset, [0.08, -0.05], atol=0.05)
 
 
 def test_no_points_take_the_usual_shape() -> None:
-    fit = fit_shape("car", made_up.SIZE, np.zeros((0, 3)), np.random.default_rng(0))
+    fit = fit_shapes("car", made_up.SIZE, np.zeros((0, 3)), np.random.default_rng(0))[0]
     assert fit.style == "estate"
     assert np.isnan(fit.median_distance)
 

@@ -11,7 +11,7 @@ import torch
 from recast.actors import Observation, TemplateGenerator
 from recast.actors.observe import observation_of_view
 from recast.actors.template.design import STYLES
-from recast.actors.template.proportions import FITTED, _Problem, contour, fit_shape
+from recast.actors.template.proportions import FITTED, _Problem, contour, fit_shapes
 from recast.actors.template.texture import SurfaceView, balanced, blended
 from recast.cameras import PinholeCamera
 from recast.geometry.colour import gamma_to_linear, linear_to_gamma
@@ -83,7 +83,7 @@ def test_outlines_alone_tell_the_style() -> None:
     vehicle = made_up.car(style="sedan")  # of that size an estate is likelier
     views = [seen_from(vehicle, 120.0, 0.08), seen_from(vehicle, -75.0, -0.08)]
     outlines = [contour(view) for view in views]
-    fit = fit_shape("car", made_up.SIZE, NO_POINTS, np.random.default_rng(0), None, outlines)
+    fit = fit_shapes("car", made_up.SIZE, NO_POINTS, np.random.default_rng(0), None, outlines)[0]
     assert fit.style == "sedan"
     assert np.isnan(fit.median_distance)
 

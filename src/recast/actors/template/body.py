@@ -9,6 +9,7 @@ mirrors are points of the left side; the right side mirrors them.
 
 from __future__ import annotations
 
+from copy import copy
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import TYPE_CHECKING
@@ -86,6 +87,14 @@ class TemplateBody:
         grid = np.linspace(-0.6, 0.6, 241) * self.length
         profile = PchipInterpolator(xs, zs)(np.clip(grid, xs[0], xs[-1]))
         self._profile = (grid, profile)
+
+    def redesigned(self, design: VehicleDesign) -> TemplateBody:
+        """The body of the same box with another design."""
+        if design.proportions != self.design.proportions:
+            return TemplateBody(self.size, design)
+        other = copy(self)
+        other.design = design
+        return other
 
     def x_at(self, fraction: float) -> float:
         """x in metres of a fraction of the length behind the front bumper."""

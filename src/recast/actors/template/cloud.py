@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 
 from recast.actors.template.body import TemplateBody, mirror, wheel
 from recast.actors.template.materials import (
@@ -35,6 +36,7 @@ MIRROR = np.array([1.0, -1.0, 1.0])
 """Factors that take a side of the vehicle to the other."""
 
 _THICKNESS = 0.002
+_SPILL = 0.6  # of a cell: on sheets of one car, 0.35 left half of the spill, none more than 0.6
 _CURVED = 0.006  # metres by which a surface may leave its tangent within a cell of 8 cm
 COVERAGE = (1.75, 2.1)
 """Standard deviation of a Gaussian over that of its patch, and of a group of patches."""
@@ -198,7 +200,12 @@ def _refined(
 
 
 def group_patches(
-    points: Array, normals: Array, colours: Array, cells: tuple[float, ...], tolerance: float
+    points: Array,
+    normals: Array,
+    colours: Array,
+    cells: tuple[float, ...],
+    tolerance: float,
+    edges: NDArray[np.bool_] | None = None,
 ) -> Int64Array:
     """Group (N,) of each patch: all patches of a voxel that look alike, else each one alone.
 
@@ -206,13 +213,19 @@ def group_patches(
         points, normals: (N, 3).
         colours: (N, C) display values that must agree within `tolerance` (standard deviation).
         cells: voxel edges in metres, coarsest first; what does not fit tries the next.
+        edges: (N,) patches at which materials meet: a group as large as its cell would spill over
+            them, so patches within 0.6 cells are not merged in it.
     """
     group = np.full(len(points), -1, np.int64)
     next_group = 0
+    apart = np.full(len(points), np.inf)
+    if edges is not None and edges.any():
+        reach = _SPILL * max(cells)
+        apart = cKDTree(points[edges]).query(points, distance_upper_bound=reach)[0]
     for cell in cells:
-        open_ = np.flatnonzero(group < 0)
+        open_ = np.flatnonzero((group < 0) & (apart > _SPILL * cell))
         if len(open_) == 0:
-            break
+            continue
         _, ids, count = np.unique(
             _directional_voxels(points[open_], normals[open_], cell),
             return_inverse=True,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
@@ -19,6 +19,7 @@ from recast.actors.template.cloud import (
     group_patches,
     shell_groups,
     tangents,
+    voxel_ids,
 )
 from recast.actors.template.lighting import (
     CLEAR_DAY,
@@ -32,6 +33,7 @@ from recast.actors.template.lighting import (
 )
 from recast.actors.template.materials import VehiclePart
 from recast.actors.template.parts import (
+    STEPS,
     PartEvidence,
     accepted,
     fit_parts,
@@ -45,7 +47,7 @@ from recast.actors.template.proportions import (
     TemplatePlacement,
     contour,
     find_axles,
-    fit_shape,
+    fit_shapes,
     place,
 )
 from recast.actors.template.texture import (
@@ -65,7 +67,8 @@ _OPACITY = 0.99
 _STYLES = 3  # offered to choose from
 _WHEEL_REACH = 1.45  # wheel radii about an axle within which a photograph may show the wheel
 _SAME_COLOUR = 0.12  # display values
-_ROUNDS = 2  # of parts and placement, each with the other
+_CLOSE = 12.0  # cost by which a style may be behind and still be chosen by its parts
+_ROUNDS = (STEPS, STEPS[1:])  # of parts and placement, each with the other
 _SKETCH_SPACING = 0.035  # metres: enough for a silhouette
 _CELLS = (0.055, 0.03)  # metres: patches that look alike are merged in voxels of these edges
 _TOLERANCE = 0.03  # display values
@@ -106,18 +109,24 @@ class TemplateGenerator(BaseGenerator):
     def _styles(self, observation: Observation, seed: int) -> list[Callable[[], Asset]]:
         if self.style is not None:
             return [partial(self.generate, observation, seed)]
-        costs = _fit(observation, np.random.default_rng(seed), None).costs
+        fits = _fits(observation, np.random.default_rng(seed), None)
         return [
-            partial(TemplateGenerator(self.spacing, style).generate, observation, seed)
-            for style in sorted(costs, key=lambda style: costs[style])[:_STYLES]
+            partial(TemplateGenerator(self.spacing, fit.style).generate, observation, seed)
+            for fit in fits[:_STYLES]
         ]
 
     def generate(self, observation: Observation, seed: int) -> Asset:
         """Build the vehicle; it fills the logged box. See `ActorGenerator.generate`."""
         rng = np.random.default_rng(seed)
         size = observation.size
-        fit = _fit(observation, rng, self.style)
-        body, placements = _placed(observation, fit, max(self.spacing, _SKETCH_SPACING), rng)
+        spacing = max(self.spacing, _SKETCH_SPACING)
+        fits = _fits(observation, rng, self.style)
+        likely = [fit for fit in fits[:_STYLES] if fit.cost < fits[0].cost + _CLOSE]
+        placed = [_placed(observation, fit, spacing, rng) for fit in likely]
+        # half of a cost is nats, as those by which the parts agree
+        totals = [one.agreement - fit.cost / 2 for fit, one in zip(likely, placed, strict=True)]
+        best = int(np.argmax(totals))
+        fit, body, placements = likely[best], placed[best].body, placed[best].placements
         cloud = build_cloud(body, self.spacing, rng)
         views = balanced(
             [
@@ -160,17 +169,28 @@ class TemplateGenerator(BaseGenerator):
         )
 
 
+@dataclass(frozen=True)
+class PlacedTemplate:
+    """A body with its parts where the views show them."""
+
+    body: TemplateBody
+    placements: tuple[TemplatePlacement, ...]  # placement in each view
+    agreement: float  # nats by which its parts and outline explain the views
+
+
 def _placed(
     observation: Observation, fit: ShapeFit, spacing: float, rng: np.random.Generator
-) -> tuple[TemplateBody, tuple[TemplatePlacement, ...]]:
-    """The body with its parts where the views show them, and its placement in each view."""
+) -> PlacedTemplate:
     size = observation.size
     body = TemplateBody(size, fit.design)
     sketch = build_cloud(body, spacing, rng)
     lidar = np.asarray(observation.points, np.float64)[:: max(1, len(observation.points) // 1200)]
-    placements = place(body, sketch.points, spacing, observation, lidar)
-    silhouettes = [Silhouette(view, sketch.points, spacing) for view in observation.views]
-    for _ in range(_ROUNDS):
+    thin = np.unique(voxel_ids(sketch.points, 0.9 * spacing), return_index=True)[1]
+    outside = sketch.points[thin]
+    placements = place(body, outside, spacing, observation, lidar)
+    silhouettes = [Silhouette(view, outside, spacing) for view in observation.views]
+    agreement = 0.0
+    for steps in _ROUNDS:
         views = [
             view_surface(sketch, view, placement)
             for view, placement in zip(observation.views, placements, strict=True)
@@ -180,15 +200,17 @@ def _placed(
         seen = [
             seen_patches(sketch, *each) for each in zip(views, evidence, placements, strict=True)
         ]
-        body = TemplateBody(size, find_axles(body, observation, placements))
-        body = fit_parts(body, seen, fit.design)
-        placements = tuple(
+        body = body.redesigned(find_axles(body, observation, placements))
+        body = fit_parts(body, seen, fit.design, steps)
+        moved = [
             settled(placement, patches, body, shown, silhouette.overlap_of)
             for placement, patches, shown, silhouette in zip(
                 placements, seen, evidence, silhouettes, strict=True
             )
-        )
-    return body, placements
+        ]
+        placements = tuple(one.placement for one in moved)
+        agreement = sum(one.agreement for one in moved)
+    return PlacedTemplate(body, placements, agreement)
 
 
 def _consistent(
@@ -224,9 +246,9 @@ def _modelled(cloud: SurfaceCloud, paint: Array, light: Daylight, view: SurfaceV
     return shade(albedo, np.ones(count), cloud.normals, cloud.points[:, 2], view.views, light)
 
 
-def _fit(observation: Observation, rng: np.random.Generator, style: str | None) -> ShapeFit:
+def _fits(observation: Observation, rng: np.random.Generator, style: str | None) -> list[ShapeFit]:
     outlines = [contour(view) for view in observation.views]
-    return fit_shape(
+    return fit_shapes(
         observation.category, observation.size, observation.points, rng, style, outlines
     )
 
@@ -242,8 +264,9 @@ def _gaussians(
     albedo = cloud.painted(paint)
     weight = texture.weight[:, None]
     look = (1 - weight) * linear_to_gamma(light.level * albedo) + weight * texture.colour
+    edges = cloud.on_body & (cloud.spacing < cloud.spacing.max())
     group = group_patches(
-        cloud.points, cloud.normals, np.c_[look, 0.1 * cloud.gloss], _CELLS, _TOLERANCE
+        cloud.points, cloud.normals, np.c_[look, 0.1 * cloud.gloss], _CELLS, _TOLERANCE, edges
     )
     sh = _harmonics(group, cloud, albedo, texture, light)
     outside = flat_gaussians(group, cloud.points, cloud.normals, cloud.spacing, sh, _OPACITY)

@@ -153,9 +153,15 @@ _LINE = 0.005  # metres: half width of shut lines
 _BENT = 0.8  # arc around a corner over the distance behind the bumper
 
 
-def label_body(body: TemplateBody, points: Array, normals: Array) -> Int64Array:
-    """Materials (N,) of body surface points (N, 3) with outward normals (N, 3)."""
-    panels = body.panels(points)
+def label_body(
+    body: TemplateBody, points: Array, normals: Array, panels: BodyPanels | None = None
+) -> Int64Array:
+    """Materials (N,) of body surface points (N, 3) with outward normals (N, 3).
+
+    Args:
+        panels: `body.panels(points)`, if known.
+    """
+    panels = body.panels(points) if panels is None else panels
     labels = np.full(len(points), int(TemplateMaterial.PAINT))
     top = points[:, 2] > 0.3 * body.height
     from_end = body.length / 2 - np.abs(points[:, 0])
@@ -430,7 +436,7 @@ def _tail_lamps(
     # from the middle around the corners, also where the body narrows towards the roof
     edge = np.minimum(panels.side, np.maximum(panels.side_window, -half))
     u = half + np.maximum(edge, -half) + _BENT * (x + body.length / 2)
-    tall = high - low
+    tall = max(high - low, 0.01)
     t, s = (z - low) / tall, (u - inner) / (outer - inner)
     if rear.lamp == "block":  # cut at an angle towards the gate
         side = u - inner - 0.10 * np.abs(t - 0.35)

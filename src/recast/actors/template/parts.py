@@ -1,8 +1,8 @@
 """Which part of the vehicle a pixel shows, and the design moved to where its parts are seen.
 
 A colour alone tells parts apart: tail lamps are red, panes and grilles dark and grey, plates
-bright, and paint is what most of the body is. A design and a placement are right if the patches of each
-part lie on pixels that look like that part; and a photograph colours a patch only if it does.
+bright, and paint is what most of the body is. A design and a placement are right if the patches
+of each part lie on pixels that look like it; and a photograph colours a patch only if it does.
 """
 
 from __future__ import annotations
@@ -122,8 +122,15 @@ class SeenPatches:
     weight: Array  # (N,) adds up to the view's share
 
 
+STEPS = (0.20, 0.10, 0.05)
+"""Shares of a number's range that it is moved by."""
+
+
 def fit_parts(
-    body: TemplateBody, seen: Sequence[SeenPatches], usual: VehicleDesign
+    body: TemplateBody,
+    seen: Sequence[SeenPatches],
+    usual: VehicleDesign,
+    steps: Sequence[float] = STEPS,
 ) -> TemplateBody:
     """The body with the parts of its design where the views show them.
 
@@ -135,36 +142,50 @@ def fit_parts(
         body: body with the design to start from.
         seen: patches of each view on that body.
         usual: design that numbers are drawn to.
+        steps: shares of a number's range that it is moved by, one after the other.
     """
     if not seen:
         return body
-    points, normals, scores = (
-        np.concatenate([getattr(one, name) for one in seen])
-        for name in ("points", "normals", "scores")
+    every = max(1, sum(len(one.points) for one in seen) // _MOST_PATCHES)
+    points, normals, scores, weight = (
+        np.concatenate([getattr(one, name)[::every] for one in seen])
+        for name in ("points", "normals", "scores", "weight")
     )
-    weight = np.concatenate([one.weight for one in seen])
+    weight = weight * every
+    panels = body.panels(points)
 
-    def gain(design: VehicleDesign) -> float:
-        labels = label_body(TemplateBody(body.size, design), points, normals)
-        part = PART_OF_MATERIAL[labels]
+    def labelled(design: VehicleDesign) -> Int64Array:
+        other = body.redesigned(design)
+        same = other.design.proportions == body.design.proportions
+        return PART_OF_MATERIAL[label_body(other, points, normals, panels if same else None)]
+
+    def gain(design: VehicleDesign, part: Int64Array) -> float:
         return float(weight @ _own(scores, part)) - _cost(design, usual)
 
     shown = {
         "front": weight[normals[:, 0] > 0.5].sum() > _LEAST_SHOWN * weight.sum(),
         "rear": weight[normals[:, 0] < -0.5].sum() > _LEAST_SHOWN * weight.sum(),
     }
-    tried_knobs = [knob for knob in knobs() if shown.get(knob.group, True)]
-    best, value = body.design, gain(body.design)
-    for step in _STEPS:
-        for knob in tried_knobs:
+    tried = [knob for knob in knobs() if shown.get(knob.group, True)]
+    best, now = body.design, labelled(body.design)
+    value = gain(best, now)
+    for step in steps:
+        matter = []  # knobs that moved a visible patch, and have more than one step
+        for knob in tried:
             for other in knob.moved(best, step):
-                if (tried := gain(other)) > value + _LEAST_GAIN:
-                    best, value = other, tried
-    return TemplateBody(body.size, best)
+                part = labelled(other)
+                if np.array_equal(part, now):
+                    continue
+                if knob.limits is not None and knob not in matter:
+                    matter.append(knob)
+                if (found := gain(other, part)) > value + _LEAST_GAIN:
+                    best, now, value = other, part, found
+        tried = matter
+    return body.redesigned(best)
 
 
+_MOST_PATCHES = 2500
 _LEAST_SHOWN = 0.03  # share of the weight that must lie on an end of the vehicle
-_STEPS = (0.20, 0.10, 0.05)  # of a number's range
 _MEASUREMENTS = 150.0  # independent ones in a view that shows the vehicle squarely
 _LEAST_GAIN = 0.1  # nats
 _NUMBER_SPREAD = 0.15  # of its range, by which a number differs from the usual one
@@ -244,7 +265,7 @@ def settled(
     body: TemplateBody,
     evidence: PartEvidence,
     overlap: Callable[[TemplatePlacement], float],
-) -> TemplatePlacement:
+) -> SettledView:
     """The placement moved across its view, and turned, to where the parts are seen.
 
     Args:
@@ -263,8 +284,17 @@ def settled(
         fit = seen.weight @ _own(evidence.sampled(other.points(seen.points)), part)
         return _OVERLAP_WEIGHT * (1 - overlap(other)) - float(fit) + 0.5 * float(x @ x)
 
-    best = moved(minimum(cost, 3, 90, xatol=0.03, fatol=0.02))
-    return replace(best, overlap=overlap(best))
+    x = minimum(cost, 3, 60, xatol=0.05, fatol=0.05)
+    best = moved(x)
+    return SettledView(replace(best, overlap=overlap(best)), -cost(x))
+
+
+@dataclass(frozen=True)
+class SettledView:
+    """Where the vehicle is in one view."""
+
+    placement: TemplatePlacement
+    agreement: float  # nats by which parts and outline explain the view
 
 
 _SHIFT_SPREAD, _YAW_SPREAD = 0.06, np.radians(1.5)  # metres, radians: labels are off in one frame

@@ -15,7 +15,7 @@ from recast.actors.observation import Observation, crossing
 from recast.actors.place import minimum
 from recast.actors.template.body import TemplateBody
 from recast.actors.template.cloud import ramp
-from recast.actors.template.design import STYLES, VehicleDesign, candidate_styles
+from recast.actors.template.design import VehicleDesign, candidate_styles, likely_design
 from recast.arrays import Array, Mask
 from recast.geometry import se3
 
@@ -57,18 +57,18 @@ class ShapeFit:
     scale: float  # size of the vehicle over that of its box
     # median distance of the points used to the fitted surface, metres; nan without points.
     median_distance: float
-    costs: dict[str, float]  # style to cost, for the record
+    cost: float  # cost of LiDAR, outlines and priors, in halves of nats
 
 
-def fit_shape(
+def fit_shapes(
     category: str,
     size: Array,
     points: NDArray[np.floating],
     rng: np.random.Generator,
     style: str | None = None,
     contours: Sequence[Contour] = (),
-) -> ShapeFit:
-    """Fit every plausible style and keep the cheapest.
+) -> list[ShapeFit]:
+    """Fit every plausible style, the cheapest first.
 
     Cost: robust (Cauchy) squared distances of the points and of the lines of sight along the masks'
     outlines to the implicit body, plus squared deviations from the style's landmarks and from the
@@ -85,23 +85,25 @@ def fit_shape(
     if len(cloud) > _POINTS:
         cloud = cloud[np.sort(rng.choice(len(cloud), _POINTS, replace=False))]
     contours = [one for one in contours if len(one.rays)]
-    if len(cloud) == 0 and not contours:
-        chosen = min(priors, key=lambda name: priors[name])
-        return ShapeFit(chosen, STYLES[chosen], np.zeros(2), 1.0, float("nan"), dict(priors))
-    fits = {name: _Problem(STYLES[name], size, cloud, contours).solve() for name in priors}
-    costs = {name: cost + priors[name] for name, (_, cost) in fits.items()}
-    chosen = min(costs, key=lambda name: costs[name])
-    solution = fits[chosen][0]
-    distance = _Problem(STYLES[chosen], size, cloud, contours).distance(solution)(cloud)
-    place = solution[len(FITTED) :]
-    return ShapeFit(
-        style=chosen,
-        design=_bent(STYLES[chosen], solution),
-        offset=place[:2].copy(),
-        scale=float(1 + place[2]),
-        median_distance=float(np.median(np.abs(distance))) if len(cloud) else float("nan"),
-        costs=costs,
-    )
+    fits = []
+    for name, prior in priors.items():
+        design = likely_design(name, size)
+        solution, cost = np.zeros(len(FITTED) + 3), 0.0
+        problem = _Problem(design, size, cloud, contours)
+        if len(cloud) or contours:
+            solution, cost = problem.solve()
+        distance = problem.distance(solution)(cloud)
+        fits.append(
+            ShapeFit(
+                style=name,
+                design=_bent(design, solution),
+                offset=solution[len(FITTED) :][:2].copy(),
+                scale=float(1 + solution[len(FITTED) + 2]),
+                median_distance=float(np.median(np.abs(distance))) if len(cloud) else float("nan"),
+                cost=cost + prior,
+            )
+        )
+    return sorted(fits, key=lambda fit: fit.cost)
 
 
 def _bent(style: VehicleDesign, solution: Array) -> VehicleDesign:
