@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 import pytest
 
-from recast.arrays import Array
+from recast.arrays import Array, Image
 from recast.geometry import se3
 from recast.metrics.actor_scores import ActorView, ScoredCutout
 from recast.metrics.part_checks import (
@@ -43,7 +43,7 @@ class Car:
 
     @property
     def view(self) -> ActorView:
-        return ActorView("drawn", lambda: cast("Array", None), self.camera, self.pose)
+        return ActorView("drawn", lambda: cast("Image", None), self.camera, self.pose)
 
     def fill(self, outline: Sequence[tuple[float, float]], colour: Array) -> None:
         """A polygon of metres to the right of the middle and above the ground."""
@@ -101,7 +101,7 @@ def front(lamp: bool = True) -> Car:
 
 
 def smeared(car: Car) -> Car:
-    car.rgb = cv2.GaussianBlur(car.rgb, (0, 0), 12)
+    car.rgb = np.asarray(cv2.GaussianBlur(car.rgb, (0, 0), 12), np.float64)
     return car
 
 

@@ -36,7 +36,7 @@ def vehicle() -> ScoredCutout:
 
 def blurred(cutout: ScoredCutout, width: float) -> ScoredCutout:
     rgb, alpha = (cv2.GaussianBlur(one, (0, 0), width) for one in (cutout.rgb, cutout.alpha))
-    return ScoredCutout(rgb, alpha)
+    return ScoredCutout(np.asarray(rgb, np.float64), np.asarray(alpha, np.float64))
 
 
 def ghost(cutout: ScoredCutout, pixels: int) -> ScoredCutout:

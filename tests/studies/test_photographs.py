@@ -69,7 +69,8 @@ def test_a_ply_through_the_command(
     assert made["mean"]["psnr"] > 20
     assert made["mean"]["paint"] < 5 and made["mean"]["structure"] < 0.2
     assert made["far"] == made["mean"] and made["failures"] == {}
-    assert cv2.imread(str(sheets[0])).shape[1] > 1000
+    sheet = cv2.imread(str(sheets[0]))
+    assert sheet is not None and sheet.shape[1] > 1000
 
 
 def test_renders_of_an_earlier_run_beside_another_generator(
@@ -81,7 +82,12 @@ def test_renders_of_an_earlier_run_beside_another_generator(
     args = ["eval", "photographs", str(crops), "--model", f"before={views}", "--model", str(ply)]
     assert main([*args, "--out", str(tmp_path / "both"), "--json"]) == 0
     rows = json.loads(capsys.readouterr().out)
-    assert [row["generator"] for row in rows if "vehicle" in row] == ["before", "before", "car.ply", "car.ply"]
+    assert [row["generator"] for row in rows if "vehicle" in row] == [
+        "before",
+        "before",
+        "car.ply",
+        "car.ply",
+    ]
     before, again = (row for row in rows if row.get("over") == "all")
     assert before["psnr_db"] == pytest.approx(first.generators[0].mean["psnr"], abs=0.2)
     assert before["psnr_db"] == pytest.approx(again["psnr_db"], abs=0.2)
