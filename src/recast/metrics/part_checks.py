@@ -38,6 +38,7 @@ _LEAST_SEEN = 0.3  # share of the plane within the mask below which a side is no
 _UNLIKE_PAINT = 16.0  # CIE76 from the own paint above which a pixel is no painted panel
 _PLACE = 0.12  # metres by which a lamp or a pane may be beside its place
 _AGREE = 0.6  # share of the part that must be at its place, and of what is drawn of it
+_WHEEL_ROOM, _WHEEL_BESIDE, _WHEEL_OWN = 0.9, 0.06, 0.88  # metres, metres, share
 _WHEEL_PLACE, _WHEEL_APART, _WHEEL_LIKE = 0.15, 0.16, 0.5
 _LEAST_BESIDE = 60.0  # CIE L of what a dark wheel is seen before
 _WHEEL_RADII = (0.28, 0.31, 0.34, 0.37, 0.40)  # metres
@@ -330,6 +331,16 @@ def _wheels(shown: SidePicture, real: SidePicture) -> PartCheck:
     if len(drawn_places) != 2:
         return PartCheck("wheels", real.side, False, f"{len(drawn_places)} found")
     off = float(np.abs(np.subtract(drawn_places, places)).max())
+    # a second wheel that overlaps the first is no peak of its own, but adds to what is dark
+    near = np.abs(real.across[:, None] - places).min(axis=1) < _WHEEL_ROOM
+    dark_areas = [
+        one.unlike_paint() & (one.lab[..., 0] < one.paint[0]) & one.rows(0.04, 0.40) & near
+        for one in (shown, real)
+    ]
+    own = _grown(dark_areas[1], _WHEEL_BESIDE)[dark_areas[0]]
+    if own.size and own.mean() < _WHEEL_OWN:
+        told = f"{1 - own.mean():.0%} of what is dark about them lies beside"
+        return PartCheck("wheels", real.side, False, told)
     told = "" if off <= _WHEEL_PLACE else f"{off:.2f} m from their place"
     return PartCheck("wheels", real.side, off <= _WHEEL_PLACE, told)
 
