@@ -272,8 +272,9 @@ def test_vehicles_and_planners(capsys: Capture) -> None:
     from recast.actors.actor import CandidateRecord, CandidateScore
     from recast.cli.rows import results
     from recast.metrics.table import Bootstrap
-    from recast.studies.actors import ActorEvaluation, TrackResult
+    from recast.studies.actors import TrackResult
     from recast.studies.generation.report import StudyBlock, StudyDifference, StudyRow
+    from recast.studies.photographs import PhotographEvaluation, PhotographScores
     from recast_tools.cli.planner import _probe_rows
     from recast_tools.planner_probe import ProbeRow
 
@@ -293,9 +294,11 @@ def test_vehicles_and_planners(capsys: Capture) -> None:
         {},
     )
     probed = ProbeRow("street", "cut-in-a", {"visible": 1.5}, {"visible": 2.0}, {"visible": 30.0})
+    scores = {"psnr": 20.0, "parts": 50.0}
+    judged = PhotographScores("t", "g", (), {"w": "empty"}, scores, {}, 2)
     for rows in (
         results.candidate_rows([chosen, failed]),
-        results.actor_rows(ActorEvaluation("g", 0, (), {"w": "empty"}, {"psnr": 20.0})),
+        results.photograph_rows(PhotographEvaluation(0, (judged,))),
         results.track_rows([TrackResult("7", 3, {"refined": 25.0}, {"refined": 0.8}, {})]),
         results.study_rows([block]),
         _probe_rows([probed, ProbeRow("s", "m", {}, {}, {}, "no road")]),
@@ -308,7 +311,8 @@ def test_vehicles_and_planners(capsys: Capture) -> None:
         text = text[end:].lstrip()
     candidates, actor, tracks, study, probe = found
     assert candidates[0]["lidar_median_m"] == 0.02 and candidates[1]["score"] is None
-    assert actor[0]["psnr_db"] == 20.0 and actor[1]["reason"] == "empty"
+    assert actor[0]["psnr_db"] == 20.0 and actor[0]["parts_percent"] == 50.0
+    assert actor[2]["reason"] == "empty"
     assert tracks[0]["model"] == "refined" and tracks[0]["psnr_db"] == 25.0
     assert study[0]["psnr_db"] == 20.0 and study[0]["clip"] == 80.0
     assert study[1]["better"] == "b" and study[2]["vehicle"] == "w"

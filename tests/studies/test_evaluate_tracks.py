@@ -38,7 +38,6 @@ def test_tracks_of_a_log(
 @pytest.mark.parametrize(
     ("options", "problem"),
     [
-        ([], "--scene: scene: is not given"),
         (["--scene", "SCENE"], "--track: tracks: none is given"),
         (["--scene", "SCENE", "--track", "1"], "track 1"),
     ],

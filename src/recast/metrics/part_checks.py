@@ -38,6 +38,7 @@ _LEAST_SEEN = 0.3  # share of the plane within the mask below which a side is no
 _UNLIKE_PAINT = 16.0  # CIE76 from the own paint above which a pixel is no painted panel
 _PLACE = 0.12  # metres by which a lamp or a pane may be beside its place
 _AGREE = 0.6  # share of the part that must be at its place, and of what is drawn of it
+_WHEEL_ROOM, _WHEEL_BESIDE, _WHEEL_OWN = 0.9, 0.06, 0.88  # metres, metres, share
 _WHEEL_PLACE, _WHEEL_APART, _WHEEL_LIKE = 0.15, 0.16, 0.5
 _LEAST_BESIDE = 60.0  # CIE L of what a dark wheel is seen before
 _WHEEL_RADII = (0.28, 0.31, 0.34, 0.37, 0.40)  # metres
@@ -46,7 +47,8 @@ _PANES_LIGHT = 30.0  # CIE L by which panes may be lighter or darker than photog
 _RED, _HUE_RANGE_DEG, _HUE_APART_DEG = 20.0, (-25.0, 48.0), 14.0
 _SMEAR, _CRISP = 0.05, 0.2  # metres of detail, and share of it that a lamp must have
 _PLATES = ((0.52, 0.12), (0.46, 0.11), (0.34, 0.17))  # metres: European, flat, Japanese
-_PLATE_CONTRAST, _PLATE_LIKE, _PLATE_SECOND = 22.0, 4.0, 0.85
+# CIE L: contrast of a plate in the photograph, and the lower one that is enough in the render
+_PLATE_CONTRAST, _PLATE_DRAWN, _PLATE_LIKE, _PLATE_SECOND = 26.0, 16.0, 4.0, 0.85
 
 
 @dataclass(frozen=True)
@@ -329,6 +331,16 @@ def _wheels(shown: SidePicture, real: SidePicture) -> PartCheck:
     if len(drawn_places) != 2:
         return PartCheck("wheels", real.side, False, f"{len(drawn_places)} found")
     off = float(np.abs(np.subtract(drawn_places, places)).max())
+    # a second wheel that overlaps the first is no peak of its own, but adds to what is dark
+    near = np.abs(real.across[:, None] - places).min(axis=1) < _WHEEL_ROOM
+    dark_areas = [
+        one.unlike_paint() & (one.lab[..., 0] < one.paint[0]) & one.rows(0.04, 0.40) & near
+        for one in (shown, real)
+    ]
+    own = _grown(dark_areas[1], _WHEEL_BESIDE)[dark_areas[0]]
+    if own.size and own.mean() < _WHEEL_OWN:
+        told = f"{1 - own.mean():.0%} of what is dark about them lies beside"
+        return PartCheck("wheels", real.side, False, told)
     told = "" if off <= _WHEEL_PLACE else f"{off:.2f} m from their place"
     return PartCheck("wheels", real.side, off <= _WHEEL_PLACE, told)
 
@@ -376,7 +388,9 @@ def _head_lamps(shown: SidePicture, real: SidePicture) -> PartCheck:
     return PartCheck("head lamps", real.side, True)
 
 
-def plate_places(picture: SidePicture) -> list[tuple[float, float, float]]:
+def plate_places(
+    picture: SidePicture, least: float = _PLATE_CONTRAST
+) -> list[tuple[float, float, float]]:
     """Metres across and up of what looks like a plate, best first, and how much lighter it is.
 
     A plate is a rectangle that is lighter than its surroundings on at least three sides, and on
@@ -402,7 +416,7 @@ def plate_places(picture: SidePicture) -> list[tuple[float, float, float]]:
         score = np.maximum(score, np.where(over[0] > -_PLATE_LIKE, over[1], 0.0))
     left = np.where(rows & picture.mask, score, 0.0)
     places: list[tuple[float, float, float]] = []
-    while left.max() > _PLATE_CONTRAST and len(places) < 5:
+    while left.max() > least and len(places) < 5:
         row, column = np.unravel_index(int(left.argmax()), left.shape)
         up = picture.low[1] + (light.shape[0] - row - 0.5) / PIXELS_PER_METRE
         places.append((float(picture.across[column]), float(up), float(left[row, column])))
@@ -424,7 +438,7 @@ def _plate(shown: SidePicture, real: SidePicture) -> PartCheck:
     if not places or (len(places) > 1 and places[1][2] > _PLATE_SECOND * places[0][2]):
         return PartCheck("plate", real.side, None, f"photograph: {len(places)} found")
     across, up, _ = places[0]
-    drawn_places = plate_places(shown)
+    drawn_places = plate_places(shown, _PLATE_DRAWN)
     at = [np.hypot(one[0] - across, one[1] - up) <= 1.5 * _PLACE for one in drawn_places]
     if not any(at):
         return PartCheck("plate", real.side, False, "none at its place")

@@ -15,6 +15,7 @@ from typing import Any
 
 import numpy as np
 from PIL import Image as PilImage
+from rich.box import SIMPLE_HEAD
 from rich.table import Table
 
 from recast.actors import ActorGenerator, make_generator
@@ -315,7 +316,8 @@ def photographs_table(evaluation: PhotographEvaluation) -> Table:
     """Vehicles and means of every generator, and differences from the first one."""
     first = evaluation.generators[0]
     keys = [key for key in PHOTOGRAPH_COLUMNS if key in first.mean]
-    table = Table(title=f"reserved photographs, seed {evaluation.seed}")
+    title = f"reserved photographs, seed {evaluation.seed}"
+    table = Table(title=title, title_justify="left", box=SIMPLE_HEAD, pad_edge=False)
     table.add_column("generator, vehicle")
     table.add_column("views", justify="right")
     for key in keys:
