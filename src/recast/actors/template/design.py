@@ -484,9 +484,19 @@ def _ordered(design: VehicleDesign) -> VehicleDesign:
     p, rear, side = design.proportions, design.rear, design.side
     tail_z = max(p.tail_z, p.deck_z + 0.01)
     p = replace(p, tail_x=max(p.tail_x, p.roof_rear_x + 0.012), tail_z=tail_z)
-    rear = replace(rear, lamp_high=max(rear.lamp_high, rear.lamp_low + 0.06))
-    side = replace(side, pillar_c_x=max(side.pillar_c_x, side.pillar_b_x + 0.1))
+    rear = replace(rear, lamp_high=max(rear.lamp_high, rear.lamp_low + _LAMP))
+    side = replace(side, pillar_c_x=max(side.pillar_c_x, side.pillar_b_x + _PANE))
     return replace(design, proportions=p, rear=rear, side=side)
+
+
+_LAMP, _PANE = 0.05, 0.1  # least height of a tail lamp, least length of a pane, as shares
+
+
+def in_order(design: VehicleDesign) -> bool:
+    """Whether tail lamps have a height, and rear panes a length."""
+    rear, side = design.rear, design.side
+    lamp = rear.lamp_high - rear.lamp_low
+    return lamp >= _LAMP - 1e-9 and side.pillar_c_x - side.pillar_b_x >= _PANE - 1e-9
 
 
 STYLES = {style: likely_design(style, _SIZES[style][:3]) for style in _BODIES}

@@ -67,6 +67,7 @@ _OPACITY = 0.99
 _STYLES = 3  # offered to choose from
 _WHEEL_REACH = 1.45  # wheel radii about an axle within which a photograph may show the wheel
 _SAME_COLOUR = 0.12  # display values
+_LESS_OVERLAP = 0.12  # of a further view with its mask than the first: it shows something else
 _CLOSE = 12.0  # cost by which a style may be behind and still be chosen by its parts
 _ROUNDS = (STEPS, STEPS[1:])  # of parts and placement, each with the other
 _SKETCH_SPACING = 0.035  # metres: enough for a silhouette
@@ -116,7 +117,11 @@ class TemplateGenerator(BaseGenerator):
         ]
 
     def generate(self, observation: Observation, seed: int) -> Asset:
-        """Build the vehicle; it fills the logged box. See `ActorGenerator.generate`."""
+        """Build the vehicle; it fills the logged box. See `ActorGenerator.generate`.
+
+        A further view whose outline cannot be that of the vehicle is left out: `left_out` of the
+        details counts these.
+        """
         rng = np.random.default_rng(seed)
         size = observation.size
         spacing = max(self.spacing, _SKETCH_SPACING)
@@ -127,19 +132,26 @@ class TemplateGenerator(BaseGenerator):
         totals = [one.agreement - fit.cost / 2 for fit, one in zip(likely, placed, strict=True)]
         best = int(np.argmax(totals))
         fit, body, placements = likely[best], placed[best].body, placed[best].placements
+        least = placements[0].overlap - _LESS_OVERLAP
+        fitting = [one.overlap >= least for one in placements]
+        if not all(fitting):
+            kept = [one for one, fits in zip(observation.views, fitting, strict=True) if fits]
+            made = self.generate(replace(observation, further=tuple(kept[1:])), seed)
+            left_out = len(fitting) - sum(fitting) + int(made.details.get("left_out", 0))
+            return replace(made, details={**made.details, "left_out": left_out})
         cloud = build_cloud(body, self.spacing, rng)
-        views = balanced(
-            [
-                view_surface(cloud, view, placement)
-                for view, placement in zip(observation.views, placements, strict=True)
-            ]
-        )
+        shown = [
+            view_surface(cloud, view, placement)
+            for view, placement in zip(observation.views, placements, strict=True)
+        ]
+        views = balanced(shown, cloud.paint > 0.9)
         light, paint = estimate_light(cloud, views, observation)
+        rims = estimate_rims(cloud, views, light)
         for _ in range(2):  # what is no paint does not tell the paint
             views = _consistent(body, cloud, views, paint, light)
             light, paint = estimate_light(cloud, views, observation)
         seen = blended(views)
-        panes, rims = estimate_windows(cloud, views, light), estimate_rims(cloud, views, light)
+        panes = estimate_windows(cloud, views, light)
         dyed = cloud.albedo * (1 - cloud.glass * (1 - panes[0]) - cloud.rim * (1 - rims))[:, None]
         cloud = replace(cloud, albedo=dyed, gloss=cloud.gloss * (1 - cloud.glass * (1 - panes[1])))
         gaussians = _gaussians(body, cloud, paint, mirrored_texture(cloud, seen), light)
@@ -158,6 +170,7 @@ class TemplateGenerator(BaseGenerator):
                 "light": round(light.level, 3),
                 "mirrored": round(light.mirror, 3),
                 "clouds": round(light.clouds, 3),
+                "contrast": round(light.contrast, 3),
                 "tint": " ".join(f"{v:.3f}" for v in light.tint),
                 "windows": " ".join(f"{v:.3f}" for v in panes),
                 "rims": round(rims, 3),

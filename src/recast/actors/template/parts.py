@@ -20,7 +20,7 @@ from recast.actors.observation import Observation
 from recast.actors.place import minimum
 from recast.actors.template.body import TemplateBody
 from recast.actors.template.cloud import SurfaceCloud
-from recast.actors.template.design import VehicleDesign, limits
+from recast.actors.template.design import VehicleDesign, in_order, limits
 from recast.actors.template.materials import PART_OF_MATERIAL, VehiclePart, label_body
 from recast.actors.template.proportions import TemplatePlacement
 from recast.actors.template.texture import SurfaceView
@@ -215,7 +215,9 @@ class DesignKnob:
             changes: dict[str, Any] = {
                 self.group: replace(part, **dict(zip(self.names, values, strict=True)))
             }
-            yield replace(design, **changes)
+            other = replace(design, **changes)
+            if values != now and in_order(other):  # not at a limit
+                yield other
 
     def cost(self, design: VehicleDesign, usual: VehicleDesign) -> float:
         """Nats that the difference from the usual values costs; pairs are counted singly."""

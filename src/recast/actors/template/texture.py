@@ -104,16 +104,24 @@ def _sample(image: NDArray[np.floating], pixels: Array) -> Array:
     return values.astype(np.float64).reshape(-1, channels)
 
 
-def balanced(views: Sequence[SurfaceView]) -> list[SurfaceView]:
+def balanced(
+    views: Sequence[SurfaceView], painted: NDArray[np.bool_] | None = None
+) -> list[SurfaceView]:
     """The views at the exposure of the first, by the patches that each shares with those before.
 
     Cameras expose differently, and a vehicle drives through shade. A view that shares few patches
     keeps its brightness nearly.
+
+    Args:
+        painted: (N,) patches to compare, if enough of them are shared: panes and lamps mirror
+            something else in every view.
     """
     done = [views[0]]
     for view in views[1:]:
         known = blended(done)
         shared = np.minimum(known.weight, view.weight) > 0.5
+        if painted is not None and (shared & painted).sum() >= _FEW_PATCHES:
+            shared &= painted
         here, there = (
             gamma_to_linear(v.colour[shared]).mean(axis=1) + 0.002 for v in (view, known)
         )
