@@ -501,6 +501,8 @@ class Actor:
         trajectory: the track's poses as corrected with the actor, world frame; None likewise.
         sun: (D,) what its shadow in the log says of the sun, see
             `recast.actors.refine.images.ShadowEvidence`; None likewise.
+        seen_shadow: the shadow that the images show, actor frame; it holds for the headings and the
+            light of the log. None likewise.
     """
 
     track_id: str
@@ -514,6 +516,7 @@ class Actor:
     shares: Shares | None = None
     trajectory: Trajectory | None = None
     sun: Array | None = None
+    seen_shadow: Gaussians | None = None
 
     def inserted_into(self, scene: StreetScene) -> StreetScene:
         """The scene with this vehicle in its track's place; see `recast.actors.insert`."""
@@ -532,6 +535,8 @@ class Actor:
             raise ValueError("Actor.gaussians: expected at least one")
         self.gaussians.validate()
         self.shadow.validate()
+        if self.seen_shadow is not None:
+            self.seen_shadow.validate()
         fault = None if self.shares is None else self.shares.fault(len(self.gaussians))
         if fault is not None:
             raise ValueError(f"Actor.shares.{fault[0]}: {fault[1]}")

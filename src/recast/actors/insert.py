@@ -22,10 +22,18 @@ from recast.actors.icp import outer_surface, thinned
 from recast.actors.observation import Observation
 from recast.arrays import Array
 from recast.core.errors import InputError
+from recast.geometry import se3
 from recast.logs import Trajectory
 from recast.scene import StreetScene
 from recast.scene.actor import draw, orbit
-from recast.scene.light import ActorLight, CastShadow, LitSurface, SceneLight, recorded_light
+from recast.scene.light import (
+    ActorLight,
+    CastShadow,
+    LitSurface,
+    SceneLight,
+    SeenShadow,
+    recorded_light,
+)
 from recast.scene.street_scene import pose_at
 from recast.splats import Gaussians, LowPass, concatenate
 from recast.splats.gaussians import quat_to_matrix
@@ -179,7 +187,7 @@ def insert(scene: StreetScene, actor: Actor, *, relit: bool = True) -> StreetSce
             gaussians=actor.gaussians,
             size=actor.size,
             trajectory=trajectory,
-            shadow=actor.shadow,
+            shadow=actor.shadow if actor.seen_shadow is None else actor.seen_shadow,
             appearance=None,
             deformation=None,
             low_pass=actor.low_pass,
@@ -220,7 +228,12 @@ def actor_light(scene: SceneLight, actor: Actor, trajectory: Trajectory) -> Acto
     surface = LitSurface.of(normals, actor.gaussians.means, actor.size)
     recorded = _recorded(scene, actor, surface, shares, poses)
     shadow = CastShadow(hull.points, actor.shadow, actor.size) if len(actor.shadow) else None
-    return ActorLight(scene, actor.gaussians, surface, recorded, shadow)
+    seen = None
+    if actor.seen_shadow is not None:
+        yaws = np.array([se3.yaw(pose) for pose in poses])
+        sun = float(np.mean([scene.place(pose, actor.size).sun.mean() for pose in poses]))
+        seen = SeenShadow(actor.seen_shadow, yaws, sun)
+    return ActorLight(scene, actor.gaussians, surface, recorded, shadow, seen)
 
 
 def _normals(gaussians: Gaussians, points: Array, normals: Array) -> Tensor:
@@ -299,9 +312,3 @@ def contact_shadow(low: Array, high: Array, floor: float) -> Gaussians:
     quats, log_scales = (np.tile(row, (count, 1)) for row in ([1.0, 0, 0, 0], deviations))
     parts = means, quats, log_scales, logits, np.full((count, 1, 3), -0.5 / C0)
     return Gaussians(*(torch.as_tensor(part, dtype=torch.float32) for part in parts))
-
-
-def darkened(shadow: Gaussians, factor: float) -> Gaussians:
-    """A shadow with its opacities times a factor."""
-    opacities = (shadow.logit_opacities.sigmoid() * factor).clamp(1e-6, 1 - 1e-4)
-    return replace(shadow, logit_opacities=opacities.logit())

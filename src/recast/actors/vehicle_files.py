@@ -126,7 +126,7 @@ def made_by_trellis(gaussians: Gaussians) -> bool:
 #
 # The folder of an actor holds actor.json, a PLY file, tensors and the source image.
 
-ACTOR_VERSION = 2
+ACTOR_VERSION = 3
 ACTOR_FILE = "actor.json"
 VEHICLE_FILE = "vehicle.ply"
 SHADOW_FILE = "shadow.safetensors"
@@ -138,6 +138,7 @@ SOURCE_PIXELS = 1 << 26
 
 _MEND = "generate the actor again with this version of recast"
 _FIELDS = ("means", "quats", "log_scales", "logit_opacities", "sh")
+_SEEN = "seen_shadow."  # before the fields of that shadow
 VEHICLE_SUFFIXES = tuple(dict.fromkeys((".ply", *MESH_SUFFIXES, *sorted(GENERATORS.files))))
 """Ends of the names of files that hold a vehicle, in lower case."""
 
@@ -189,10 +190,11 @@ def load_actor(folder: str | Path) -> Actor:
     """
     folder = Path(folder)
     record = read_record(folder / ACTOR_FILE, ActorRecord, ACTOR_VERSION, _MEND)
-    shares, trajectory, sun = None, None, None
+    shares, trajectory, sun, seen_shadow = None, None, None, None
     refinement = record.provenance.refinement
     if refinement is not None and refinement.kept:
         shares, trajectory, sun = _read_refined(folder / REFINED_FILE)
+        seen_shadow = _read_shadow(folder / REFINED_FILE, _SEEN)
     actor = Actor(
         track_id=record.track_id,
         category=record.category,
@@ -205,6 +207,7 @@ def load_actor(folder: str | Path) -> Actor:
         shares=shares,
         trajectory=trajectory,
         sun=sun,
+        seen_shadow=seen_shadow,
     )
     try:
         actor.validate()
@@ -221,9 +224,9 @@ def _tensors(path: Path, names: Iterable[str]) -> dict[str, torch.Tensor]:
     return tensors
 
 
-def _read_shadow(path: Path) -> Gaussians:
-    tensors = _tensors(path, _FIELDS)
-    shadow = Gaussians(**{name: tensors[name] for name in _FIELDS})
+def _read_shadow(path: Path, start: str = "") -> Gaussians:
+    tensors = _tensors(path, [start + name for name in _FIELDS])
+    shadow = Gaussians(**{name: tensors[start + name] for name in _FIELDS})
     fault = shadow.fault()
     if fault is not None:
         raise InputError(path, *fault, _MEND)
@@ -233,7 +236,9 @@ def _read_shadow(path: Path) -> Gaussians:
 def _refined(actor: Actor) -> dict[str, torch.Tensor]:
     """What refinement adds to an actor, by name."""
     assert actor.shares is not None and actor.trajectory is not None and actor.sun is not None
+    assert actor.seen_shadow is not None
     return {
+        **{_SEEN + name: getattr(actor.seen_shadow, name).contiguous() for name in _FIELDS},
         "seen": actor.shares.seen.contiguous(),
         "mirrored": actor.shares.mirrored.contiguous(),
         "timestamps_us": torch.from_numpy(actor.trajectory.timestamps_us).contiguous(),

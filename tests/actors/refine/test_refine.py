@@ -10,12 +10,13 @@ import torch
 from actors import made_up_evidence
 from recast.actors import Actor, insert, load_actor, save_actor
 from recast.actors.evidence import Evidence
+from recast.actors.insert import contact_shadow
 from recast.actors.refine import Steps, refine
 from recast.actors.refine.settings import REFINE
 from recast.core.errors import InputError
 from recast.geometry import se3
 from recast.scene import StreetScene
-from recast.splats import CLASSIC, Gaussians
+from recast.splats import CLASSIC, Gaussians, concatenate
 from support import made_up_actors as made_up
 
 AROUND = np.linspace(0, 2 * np.pi, 13)[:-1]
@@ -64,6 +65,32 @@ def test_it_finds_place_and_paint(refined: Actor, guess: Actor, red_car: Gaussia
     assert red > green + 0.1 and red > blue + 0.1
     assert report.seen > report.mirrored > 0
     assert refined.shares is not None and len(refined.shares) == len(refined.gaussians)
+
+
+def test_the_shadow_follows_the_images(guess: Actor, red_car: Gaussians) -> None:
+    """On the ground there is a grey patch beside the vehicle that no sun explains."""
+    half = made_up.SIZE / 2
+    shadow = contact_shadow(-half, half, -half[2])
+    beside = shadow.means[:, 1].abs() < 0.3
+    patch = dataclasses.replace(
+        shadow.select(beside), means=shadow.means[beside] + torch.tensor([0.0, half[1] + 0.5, 0.0])
+    )
+    scene = made_up_evidence.empty_street(red_car, len(AROUND))
+    alone = made_up_evidence.evidence(red_car, AROUND)
+    both = made_up_evidence.evidence(concatenate([red_car, patch]), AROUND)
+    sightings = tuple(
+        dataclasses.replace(one, mask=other.mask)
+        for one, other in zip(both.sightings, alone.sightings, strict=True)
+    )
+    evidence = dataclasses.replace(both, sightings=sightings)
+    actor = refine(dataclasses.replace(guess, shadow=shadow), evidence, scene, steps=FEW)
+    seen = actor.seen_shadow
+    assert seen is not None
+    opacity = torch.sigmoid(seen.logit_opacities)
+    across = seen.means[:, 1]
+    there = (seen.means[:, 0].abs() < 1.0) & ((across - half[1] - 0.5).abs() < 0.3)
+    opposite = (seen.means[:, 0].abs() < 1.0) & ((across + half[1] + 0.5).abs() < 0.3)
+    assert opacity[there].mean() > 1.3 * opacity[opposite].mean()
 
 
 def test_same_seed_same_bytes(
@@ -159,6 +186,8 @@ def test_a_folder_gives_it_back(refined: Actor, scene: StreetScene, tmp_path: Pa
     assert torch.equal(back.shares.columns, refined.shares.columns)
     assert back.trajectory is not None and refined.trajectory is not None
     np.testing.assert_array_equal(back.trajectory.poses, refined.trajectory.poses)
+    assert back.seen_shadow is not None and refined.seen_shadow is not None
+    assert torch.equal(back.seen_shadow.sh, refined.seen_shadow.sh)
     # The scene takes the corrected poses with the vehicle.
     placed = insert(scene, back).actors["7"].trajectory
     np.testing.assert_array_equal(placed.poses, refined.trajectory.poses)

@@ -11,9 +11,9 @@ import torch
 from actors import made_up_evidence
 from recast.actors import Actor
 from recast.actors.icp import outer_surface
-from recast.actors.insert import contact_shadow, darkened
+from recast.actors.insert import contact_shadow
 from recast.actors.refine.images import make_layers, shadow_evidence
-from recast.scene.light import CastShadow, SceneLight, SunBelief
+from recast.scene.light import CastShadow, SceneLight, SunBelief, darkened
 from recast.scene.light.sun import AZIMUTHS, DIRECTIONS, directions
 from recast.splats import CLASSIC, Gaussians, concatenate
 from support import made_up_actors as made_up

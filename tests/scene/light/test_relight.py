@@ -10,7 +10,15 @@ from recast.cameras import PinholeCamera
 from recast.geometry import se3
 from recast.geometry.colour import GAMMA
 from recast.scene import SceneActor, SceneRasterizer
-from recast.scene.light import ActorLight, CastShadow, LitSurface, SceneLight, recorded_light
+from recast.scene.light import (
+    ActorLight,
+    CastShadow,
+    LitSurface,
+    SceneLight,
+    SeenShadow,
+    darkened,
+    recorded_light,
+)
 from recast.scene.light.relight import COAT, Paint, PlaceLight, rounded
 from recast.splats import Gaussians
 from recast.splats.sh import C0
@@ -211,3 +219,37 @@ def test_without_sun_the_shadow_is_that_of_the_sky_that_the_vehicle_hides() -> N
 
     shown = 1 - (1 - dark(contact())) ** (1 / GAMMA)
     assert dark(sheet) == pytest.approx(shown, abs=0.05)
+
+
+def test_a_seen_shadow_holds_for_its_heading_and_light() -> None:
+    three = np.ones(3)
+    sunny, shaded = (PlaceLight(three, sun * three, three > 0) for sun in (2.0, 0.0))
+    seen = SeenShadow(contact(), np.array([np.pi - 0.05, 0.1]), 2.0)
+    assert seen.share(sunny, 0.1) == pytest.approx(1.0)
+    assert seen.share(sunny, -np.pi - 0.05) == pytest.approx(1.0)  # the same, once around
+    assert 0.4 < seen.share(sunny, 0.1 + np.radians(15.0)) < 0.6
+    assert seen.share(sunny, 0.1 + np.radians(35.0)) == 0.0
+    assert seen.share(shaded, 0.1) == pytest.approx(1 / 3)
+
+
+def test_a_seen_shadow_takes_the_place_of_the_cast_one(half_shaded: SceneLight) -> None:
+    pose = made_up.pose(8.0, heading=0.3)
+    actor = actor_with_light(half_shaded, pose)
+    assert isinstance(actor.light, ActorLight)
+    cast = CastShadow(box_surface(), contact(), made_up.SIZE)
+    sun = float(half_shaded.place(rounded(pose), made_up.SIZE).sun.mean())
+    seen = SeenShadow(darkened(contact(), 0.5), np.array([0.3]), sun)
+    light = ActorLight(
+        half_shaded, actor.gaussians, actor.light.surface, actor.light.recorded, cast, seen
+    )
+    lit = dataclasses.replace(actor, light=light)
+    there = lit.lit_at(pose).shadow
+    assert there is not None and len(there) <= light.shadow_room
+    opacity, count = torch.sigmoid(there.logit_opacities), len(seen.sheet)
+    assert opacity[:-count].max() < 0.05  # of the cast one, hardly anything is left
+    wanted = torch.sigmoid(seen.sheet.logit_opacities)
+    torch.testing.assert_close(opacity[-count:], wanted, atol=0.02, rtol=0)
+    turned = rounded(made_up.pose(8.0, heading=1.3))
+    alone, place = lit.lit_at(turned).shadow, half_shaded.place(turned, made_up.SIZE)
+    assert alone is not None
+    assert torch.equal(alone.means, cast.sheet(half_shaded, place, float(se3.yaw(turned))).means)

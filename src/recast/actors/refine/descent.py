@@ -28,6 +28,7 @@ from recast.reconstruction.settings import generator, picked_view
 from recast.scene.actor import draw, mirrored
 from recast.splats import Gaussians, LowPass, concatenate
 from recast.splats.gaussians import quat_multiply, quat_to_matrix
+from recast.splats.sh import C0
 
 FIELDS = ("means", "quats", "log_scales", "logit_opacities", "sh")
 Step = Callable[[], None]
@@ -144,10 +145,10 @@ class FreeGaussians:
     Args:
         prior: Gaussians in the actor frame; harmonics of any degree become at least those of degree
             1.
-        freedom: (N,) in [0, 1].
+        freedom: (M,) in [0, 1] of the first M of them; the others stay.
 
     Attributes:
-        changes: leaf tensors by field.
+        changes: leaf tensors by field, of the first M.
     """
 
     def __init__(self, prior: Gaussians, freedom: Tensor) -> None:
@@ -156,7 +157,8 @@ class FreeGaussians:
             prior = replace(prior, sh=torch.nn.functional.pad(prior.sh, room))
         self.prior, self._freedom = prior.detach(), freedom
         self.changes = {
-            name: torch.zeros_like(getattr(self.prior, name), requires_grad=True) for name in FIELDS
+            name: torch.zeros_like(getattr(self.prior, name)[: len(freedom)], requires_grad=True)
+            for name in FIELDS
         }
 
     def _change(self, name: str) -> Tensor:
@@ -165,8 +167,13 @@ class FreeGaussians:
 
     def __call__(self) -> Gaussians:
         """The Gaussians as they stand; differentiable in the changes."""
-        value = {name: getattr(self.prior, name) + self._change(name) for name in FIELDS}
-        value["log_scales"] = value["log_scales"].clamp(*REFINE.log_size)
+        count, value = len(self._freedom), {}
+        for name in FIELDS:
+            prior = getattr(self.prior, name)
+            changed = prior[:count] + self._change(name)
+            if name == "log_scales":
+                changed = changed.clamp(*REFINE.log_size)
+            value[name] = torch.cat([changed, prior[count:]])
         return Gaussians(**value)
 
     def strain(self) -> Tensor:
@@ -174,11 +181,42 @@ class FreeGaussians:
         moved = (self._change("means") / REFINE.shift_m).square().mean()
         grown = self._change("log_scales").square().mean()
         turned = self._change("sh")[:, 1:].square().mean()
-        return (
+        share = len(self._freedom) / len(self.prior)
+        return share * (
             REFINE.shift_weight * moved
             + REFINE.scale_weight * grown
             + REFINE.direction_weight * turned
         )
+
+
+class FreeShadow:
+    """A level sheet whose opacities and colours follow the images.
+
+    Args:
+        prior: the sheet at first, actor frame.
+
+    Attributes:
+        changes: leaf tensors by field.
+    """
+
+    def __init__(self, prior: Gaussians) -> None:
+        # A black Gaussian has no derivative by its colour.
+        self._prior = replace(prior, sh=torch.full_like(prior.sh, (REFINE.dark - 0.5) / C0))
+        self.changes = {
+            name: torch.zeros_like(getattr(prior, name), requires_grad=True)
+            for name in ("logit_opacities", "sh")
+        }
+
+    def __call__(self) -> Gaussians:
+        """The sheet as it stands; differentiable in the changes."""
+        moved = {name: getattr(self._prior, name) + self.changes[name] for name in self.changes}
+        moved["logit_opacities"] = moved["logit_opacities"].clamp(max=REFINE.densest)
+        return replace(self._prior, **moved)
+
+    def strain(self) -> Tensor:
+        """Pull towards the prior."""
+        squares = [change.square().sum() for change in self.changes.values()]
+        return REFINE.shade_weight * torch.stack(squares).sum() / max(len(self._prior), 1)
 
 
 def split_rows(gaussians: Gaussians, chosen: Tensor) -> tuple[Tensor, Tensor, Tensor]:
@@ -226,26 +264,36 @@ class ViewLoss:
 
 
 def view_loss(
-    gaussians: Gaussians, low_pass: LowPass, layers: Layers, offset: Tensor | None = None
+    gaussians: Gaussians,
+    low_pass: LowPass,
+    layers: Layers,
+    offset: Tensor | None = None,
+    shadow: Gaussians | None = None,
 ) -> ViewLoss:
-    """Compare a vehicle with one image; differentiable in all but the layers.
+    """Compare a vehicle and its shadow with one image; differentiable in all but the layers.
 
     Args:
         gaussians: Gaussians in the actor frame.
         low_pass: the filter that they are drawn through.
         offset: (4, 4) correction of the vehicle's pose, in its own frame.
+        shadow: sheet on the ground, actor frame; that of the layers if None.
     """
     pose = layers.camera_from_world @ layers.world_from_object
     if offset is not None:
         pose = pose @ offset
     drawn = draw(gaussians, pose, layers.sighting.camera, low_pass)
-    compared = layers.compared[..., None]
-    shown = layers.around(drawn.rgb, drawn.alpha)
-    # Beside the vehicle both are the target, so that nothing there is explained by the vehicle.
-    shown = compared * shown + (1 - compared) * layers.target
+    back = None
+    if shadow is not None and len(shadow) > 0:
+        cast = draw(shadow, pose, layers.sighting.camera)
+        back = cast.rgb + (1 - cast.alpha)[..., None] * layers.street
+    compared, road = layers.compared[..., None], layers.road[..., None]
+    # Beside the vehicle only its shadow follows, so that it does not explain the road itself.
+    beside = layers.around(drawn.rgb.detach(), drawn.alpha.detach(), back)
+    shown = compared * layers.around(drawn.rgb, drawn.alpha, back) + road * beside
+    shown = shown + (1 - compared - road) * layers.target
     area = layers.compared.sum().clamp(min=1.0) / layers.compared.numel()
     wanted = layers.mask * layers.through
-    missed = (drawn.alpha * layers.through - wanted).abs() * layers.trust
+    missed = (drawn.alpha * layers.through - wanted).abs() * layers.outlined
     return ViewLoss(
         photometric_loss(shown, layers.target, REFINE.ssim_weight) / area,
         missed.sum() / layers.compared.sum().clamp(min=1.0),
@@ -264,12 +312,18 @@ class RefinementTask:
     steps: Steps  # numbers of steps
 
     def image_loss(
-        self, gaussians: Gaussians, poses: PoseOffsets, step: int, seen: Tensor | None = None
+        self,
+        gaussians: Gaussians,
+        poses: PoseOffsets,
+        step: int,
+        seen: Tensor | None = None,
+        shadow: Gaussians | None = None,
     ) -> Tensor:
         """Weighted loss of the image of a step, now and then of the mirrored vehicle.
 
         Args:
             seen: (N,) in [0, 1], by how much the mirrored vehicle does not teach each Gaussian.
+            shadow: see `view_loss`; the mirrored vehicle does not teach it.
         """
         view = self.views[picked_view(self.seed, step, len(self.views))]
         weight = view.sighting.weight
@@ -279,17 +333,21 @@ class RefinementTask:
                 gaussians = _held(gaussians, seen)
             gaussians = mirrored(gaussians, torch.ones(len(gaussians), dtype=torch.bool))
             weight *= REFINE.mirror_weight
+            view = replace(view, outlined=view.trust)  # its edges are not those of this side
+            shadow = None if shadow is None else shadow.detach()
         offset = poses.at(view.sighting.timestamp_us)
-        return weight * view_loss(gaussians, self.low_pass, view, offset).total
+        return weight * view_loss(gaussians, self.low_pass, view, offset, shadow).total
 
-    def judged(self, gaussians: Gaussians, poses: PoseOffsets | None) -> float:
+    def judged(
+        self, gaussians: Gaussians, poses: PoseOffsets | None, shadow: Gaussians | None = None
+    ) -> float:
         """Mean loss on the held-back images, each weighted as its sighting; nan without one."""
         total = weight = 0.0
         with torch.no_grad():
             for view in self.held:
                 sighting = view.sighting
                 offset = None if poses is None else poses.at(sighting.timestamp_us)
-                loss = view_loss(gaussians, self.low_pass, view, offset).total
+                loss = view_loss(gaussians, self.low_pass, view, offset, shadow).total
                 total += float(loss) * sighting.weight
                 weight += sighting.weight
         return total / weight if weight else math.nan
@@ -339,23 +397,32 @@ class FreeDescent:
 
     Args:
         free: Gaussians that the descent changes.
+        shadow: their shadow, which it changes, too.
         poses: pose corrections of the track, which the descent goes on with.
         seen: (N,) in [0, 1], how much of each Gaussian images of its own side show: those of the
             other side leave it as it is.
 
     Attributes:
         index: number of steps done.
-        best, best_loss: the Gaussians with the least loss on the held-back images, and that loss.
+        best, best_shadow, best_loss: Gaussians and shadow with the least loss on the held-back
+            images, and that loss.
     """
 
     def __init__(
-        self, task: RefinementTask, free: FreeGaussians, poses: PoseOffsets, seen: Tensor
+        self,
+        task: RefinementTask,
+        free: FreeGaussians,
+        shadow: FreeShadow,
+        poses: PoseOffsets,
+        seen: Tensor,
     ) -> None:
-        self.task, self.free, self.poses, self._seen = task, free, poses, seen
+        self.task, self.free, self.shadow = task, free, shadow
+        self.poses, self._seen = poses, seen
         self._parameters = {**free.changes, "poses": poses.values}
+        self._parameters |= {f"shadow_{name}": one for name, one in shadow.changes.items()}
         self._optimiser = _adam(self._parameters, REFINE.free_rates())
         self.index, self._worse = 0, 0
-        self.best, self.best_loss = free().detach(), math.inf
+        self.best, self.best_shadow, self.best_loss = free().detach(), shadow().detach(), math.inf
 
     @property
     def steps(self) -> int:
@@ -369,19 +436,22 @@ class FreeDescent:
 
     def step(self) -> None:
         """One step: colours alone at first, then everything; a look now and then."""
-        loss = self.task.image_loss(self.free(), self.poses, self.index, self._seen)
-        loss = loss + self.free.strain() + REFINE.strain_weight * self.poses.roughness()
-        moved = {"sh"} if self.index < self.task.steps.paint else set(self._parameters)
+        now, shadow = self.free(), self.shadow()
+        loss = self.task.image_loss(now, self.poses, self.index, self._seen, shadow)
+        loss = loss + self.free.strain() + self.shadow.strain()
+        loss = loss + REFINE.strain_weight * self.poses.roughness()
+        moved = {"sh", "shadow_sh", "shadow_logit_opacities"}
+        moved = moved if self.index < self.task.steps.paint else set(self._parameters)
         _descend(self._optimiser, loss, self.index / self.steps, moved)
         self.index += 1
         if self.index % self.task.steps.look_every == 0 or self.index == self.steps:
             self._look()
 
     def _look(self) -> None:
-        now = self.free().detach()
-        loss = self.task.judged(now, self.poses)
+        now, shadow = self.free().detach(), self.shadow().detach()
+        loss = self.task.judged(now, self.poses, shadow)
         if not self.task.held or loss < self.best_loss:
-            self.best, self.best_loss, self._worse = now, loss, 0
+            self.best, self.best_shadow, self.best_loss, self._worse = now, shadow, loss, 0
         else:
             self._worse += 1
 
@@ -391,7 +461,8 @@ class FreeDescent:
         for group in self._optimiser.param_groups:
             kept = self._optimiser.state[group["params"][0]]
             tensors |= {f"{key}.{group['name']}": value for key, value in kept.items()}
-        tensors |= {f"best.{name}": getattr(self.best, name) for name in self.free.changes}
+        for kind, best in (("best", self.best), ("best_shadow", self.best_shadow)):
+            tensors |= {f"{kind}.{name}": getattr(best, name) for name in FIELDS}
         return tensors, {"index": self.index, "worse": self._worse, "loss": self.best_loss}
 
     def load(self, tensors: dict[str, Tensor], numbers: dict[str, Any]) -> None:
@@ -404,11 +475,14 @@ class FreeDescent:
             self._optimiser.state[group["params"][0]] = {
                 key.removesuffix(ending): value
                 for key, value in tensors.items()
-                if key.endswith(ending) and not key.startswith(("value.", "best."))
+                if key.endswith(ending) and not key.startswith(("value.", "best"))
             }
         self.index, self._worse = int(numbers["index"]), int(numbers["worse"])
         self.best_loss = float(numbers["loss"])
-        self.best = Gaussians(**{name: tensors[f"best.{name}"] for name in self.free.changes})
+        self.best, self.best_shadow = (
+            Gaussians(**{name: tensors[f"{kind}.{name}"] for name in FIELDS})
+            for kind in ("best", "best_shadow")
+        )
 
 
 def _held(gaussians: Gaussians, share: Tensor) -> Gaussians:

@@ -36,7 +36,7 @@ from recast.geometry import boxes, se3
 from recast.geometry.colour import GAMMA
 from recast.scene import StreetScene
 from recast.scene.actor import draw, mirrored
-from recast.scene.light import CastShadow, SceneLight
+from recast.scene.light import CastShadow, SceneLight, darkened
 from recast.scene.light.sun import DIRECTIONS
 from recast.scene.sky import composite, pixel_coordinates
 from recast.splats import CLASSIC, Gaussians, LowPass, concatenate, refiltered
@@ -57,15 +57,24 @@ class Layers:
     # mask, trust: (H, W) float32, see `Sighting`.
     mask: Tensor
     trust: Tensor
+    # (H, W) float32 in [0, 1]: `trust`, but less at the mask's border, which is off by a pixel.
+    outlined: Tensor
     # (H, W) float32 in [0, 1], where colours are compared: on the vehicle and its edge.
     compared: Tensor
+    # (H, W) float32 in [0, 1], road beside the vehicle, where its shadow is compared.
+    road: Tensor
     # camera_from_world, world_from_object: (4, 4) float32.
     camera_from_world: Tensor
     world_from_object: Tensor
 
-    def around(self, rgb: Tensor, alpha: Tensor) -> Tensor:
-        """The picture (H, W, 3) of a vehicle drawn alone as rgb (H, W, 3) and alpha (H, W)."""
-        back = self.street * (1 - self.shade)[..., None]
+    def around(self, rgb: Tensor, alpha: Tensor, back: Tensor | None = None) -> Tensor:
+        """The picture (H, W, 3) of a vehicle drawn alone as rgb (H, W, 3) and alpha (H, W).
+
+        Args:
+            back: (H, W, 3) street with the vehicle's shadow; by `shade` if None.
+        """
+        if back is None:
+            back = self.street * (1 - self.shade)[..., None]
         inner = rgb + (1 - alpha)[..., None] * back
         return self.front + self.through[..., None] * inner
 
@@ -110,7 +119,13 @@ def _layers(
     through = 1 - front.alpha
     shaded = behind * (1 - shade)[..., None]
     gain = _gain(image, front.rgb + through[..., None] * shaded, mask, trust)
-    reach = cv2.dilate((sighting.mask > 0.05).astype(np.uint8), np.ones((3, 3), np.uint8))
+    solid = (sighting.mask > 0.05).astype(np.uint8)
+    element = np.ones((2 * REFINE.edge_px + 1,) * 2, np.uint8)
+    reach = cv2.dilate(solid, np.ones((2 * REFINE.beside_px + 1,) * 2, np.uint8))
+    border = (cv2.dilate(solid, element) > 0) & (cv2.erode(solid, element) == 0)
+    doubt = np.where(border, np.float32(REFINE.border_weight), np.float32(1))
+    usable = (trust > 0) * (through > 0.5)
+    beside, _ = _ground(sighting, evidence.size, -evidence.size[2] / 2, REFINE.shadow_reach_m)
     return Layers(
         sighting=sighting,
         target=(image / gain).clamp(0, 1),
@@ -120,7 +135,9 @@ def _layers(
         through=through,
         mask=mask,
         trust=trust,
-        compared=torch.from_numpy(reach).float() * (trust > 0) * (through > 0.5),
+        outlined=trust * torch.from_numpy(doubt),
+        compared=torch.from_numpy(reach).float() * usable,
+        road=torch.from_numpy(beside & (reach == 0)).float() * usable,
         camera_from_world=view,
         world_from_object=torch.from_numpy(sighting.world_from_object).float(),
     )
@@ -195,6 +212,26 @@ def shadow_evidence(actor: Actor, scene: StreetScene, views: Sequence[Layers]) -
     return ShadowEvidence(sun, min(max(found / square, REFINE.darkness[0]), REFINE.darkness[1]))
 
 
+def shadow_sheet(
+    actor: Actor, scene: StreetScene, told: ShadowEvidence, poses: Sequence[Array]
+) -> Gaussians:
+    """The shadow that the sun and the sky cast on the ground around an actor, at the middle pose.
+
+    Places without shadow are in it, too, but nothing beyond `shadow_reach_m`; nothing at all for
+    an actor without a contact shadow.
+    """
+    if len(actor.shadow) == 0:
+        return actor.shadow
+    light = SceneLight.of(scene)
+    light = replace(light, sun=light.sun.given(told.sun))
+    contact = darkened(actor.shadow, told.darkness)
+    cast = CastShadow(outer_surface(actor.gaussians).points, contact, actor.size)
+    pose = poses[len(poses) // 2]
+    sheet = cast.sheet(light, light.place(pose, actor.size), float(se3.yaw(pose)), whole=True)
+    half = torch.from_numpy(actor.size[:2] / 2 + REFINE.shadow_reach_m)
+    return sheet.select((sheet.means[:, :2].abs() < half).all(dim=1))
+
+
 def road_pixels(view: Layers, size: Array, floor: float) -> RoadPixels | None:
     """The road pixels of one image; None if there are only a few.
 
@@ -207,22 +244,38 @@ def road_pixels(view: Layers, size: Array, floor: float) -> RoadPixels | None:
         cv2.dilate((sighting.mask > REFINE.on_it).astype(np.uint8), np.ones((3, 3), np.uint8)) > 0
     )
     beside = ~around & (sighting.trust > 0) & (view.through.numpy() > REFINE.clear)
+    ground, places = _ground(sighting, size, floor, REFINE.road_reach_m)
+    rows, columns = np.nonzero(beside & ground)
+    if len(rows) < REFINE.fewest_road_pixels:
+        return None
+    rows, columns = thinned(np.stack([rows, columns], -1), REFINE.road_pixels).T
+    image, street = (
+        layer.numpy()[rows, columns].astype(np.float64).mean(axis=1)
+        for layer in (view.target, view.street)
+    )
+    return RoadPixels(
+        places[rows, columns], image, street, sighting.world_from_object, sighting.weight
+    )
+
+
+def _ground(
+    sighting: Sighting, size: Array, floor: float, reach: float
+) -> tuple[NDArray[np.bool_], Array]:
+    """Pixels (H, W) that look at the ground around a box, and where (H, W, 2) metres, actor frame.
+
+    Args:
+        reach: metres around the box.
+    """
     object_from_camera = se3.inverse(sighting.camera_from_object)
-    rays = sighting.camera.rays(sighting.camera.pixel_grid()[beside])
-    rays = rays @ object_from_camera[:3, :3].T
+    camera = sighting.camera
+    rays = camera.rays(camera.pixel_grid().reshape(-1, 2)) @ object_from_camera[:3, :3].T
     with np.errstate(divide="ignore"):
         distance = (floor - object_from_camera[2, 3]) / rays[:, 2]
     down = (rays[:, 2] < 0) & (distance > 0)
     places = object_from_camera[:2, 3] + np.where(down, distance, 0)[:, None] * rays[:, :2]
-    near = np.flatnonzero(down & (np.abs(places) < size[:2] / 2 + REFINE.road_reach_m).all(axis=1))
-    if len(near) < REFINE.fewest_road_pixels:
-        return None
-    near = thinned(near, REFINE.road_pixels)
-    image, street = (
-        layer.numpy()[beside][near].astype(np.float64).mean(axis=1)
-        for layer in (view.target, view.street)
-    )
-    return RoadPixels(places[near], image, street, sighting.world_from_object, sighting.weight)
+    near = down & (np.abs(places) < size[:2] / 2 + reach).all(axis=1)
+    shape = (camera.height, camera.width)
+    return near.reshape(shape), places.reshape(*shape, 2)
 
 
 def _sun(roads: Sequence[RoadPixels], expected: Sequence[Array]) -> Array:

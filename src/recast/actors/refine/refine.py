@@ -19,23 +19,30 @@ from numpy.typing import NDArray
 
 from recast.actors.actor import Actor, Refinement, triple
 from recast.actors.evidence import Evidence
-from recast.actors.insert import darkened
 from recast.actors.refine.descent import (
     FIELDS,
     Bend,
     FreeDescent,
     FreeGaussians,
+    FreeShadow,
     PoseOffsets,
     RefinementTask,
     fit_shape,
     split,
     split_rows,
 )
-from recast.actors.refine.images import follow_paint, make_layers, shadow_evidence, visibility_of
+from recast.actors.refine.images import (
+    follow_paint,
+    make_layers,
+    shadow_evidence,
+    shadow_sheet,
+    visibility_of,
+)
 from recast.actors.refine.settings import REFINE, Steps
 from recast.core.diagnostics import Progress
 from recast.logs import Trajectory
 from recast.scene import StreetScene
+from recast.scene.light import darkened
 from recast.scene.store import read_tensors, write_tensors
 from recast.scene.street_scene import DEFORMABLE
 from recast.splats import Gaussians
@@ -83,11 +90,13 @@ def refine(
     kept = [view for view in views if view not in held]
     symmetric = actor.category not in DEFORMABLE
     task = RefinementTask(kept, held, actor.low_pass, symmetric, seed, steps or Steps())
+    # A body as a whole is placed by whole masks; later colours decide where their border is.
+    firm = replace(task, views=[replace(view, outlined=view.trust) for view in kept])
     times = np.array([one.timestamp_us for one in evidence.sightings], np.int64)
     bend, poses = Bend(actor.size), PoseOffsets(times)
     counter = _Counter(progress, task.steps)
 
-    fit_shape(task, actor, evidence.hits, bend, poses, counter.step)
+    fit_shape(firm, actor, evidence.hits, bend, poses, counter.step)
     with torch.no_grad():
         bent = bend(actor.gaussians.detach())
     visible = visibility_of(bent, actor.low_pass, views, symmetric)
@@ -96,13 +105,18 @@ def refine(
     known = shares.seen + shares.mirrored
     source = split_rows(bent, visible.shown & (known > REFINE.split_from))
     finer, visible = split(bent, *source), visible.select(torch.cat(source))
-    shares = visible.shares
-    free = FreeGaussians(finer, visible.freedom(finer))
-    descent = FreeDescent(task, free, poses, shares.seen)
+    freedom = visible.freedom(finer)
+    moving = freedom > REFINE.least_freedom
+    order = torch.cat([moving.nonzero()[:, 0], (~moving).nonzero()[:, 0]])
+    finer, shares = finer.select(order), visible.shares.select(order)
+    free = FreeGaussians(finer, freedom[moving])
+    stood = [one.world_from_object for one in evidence.sightings]
+    shadow = FreeShadow(shadow_sheet(replace(actor, gaussians=bent), scene, told, stood))
+    descent = FreeDescent(task, free, shadow, poses, shares.seen)
     _descend(descent, _identity(actor, evidence, seed), checkpoint, counter)
 
     refined = follow_paint(free.prior, descent.best, shares)
-    loss_after = task.judged(refined, poses)
+    loss_after = task.judged(refined, poses, descent.best_shadow)
     better = loss_after < loss_before
     report = Refinement(
         images=len(kept),
@@ -132,6 +146,7 @@ def refine(
             trajectory=trajectory,
             shadow=darkened(actor.shadow, told.darkness),
             sun=told.sun,
+            seen_shadow=descent.best_shadow,
         ),
         report,
     )

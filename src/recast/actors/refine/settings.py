@@ -1,7 +1,8 @@
 """Numbers of the refinement, with units and origins.
 
-They were chosen on two synthetic drives, urban-straight 11 and underpass 13; docs/actors.md has the
-table. Where no comparison is named, none is on record.
+They were chosen on two synthetic drives, urban-straight 11 and underpass 13, and those that say so
+on urban-straight 41; docs/actors.md has the tables. Where no comparison is named, none is on
+record.
 """
 
 from __future__ import annotations
@@ -43,6 +44,12 @@ class RefinementSettings:
     """Weight of SSIM in the colour loss; the rest is L1 (3DGS)."""
     outline_weight: float = 0.5
     """Weight of the outline loss over that of colours."""
+    edge_px: int = 2
+    """Pixels on either side of a mask's border where it says little."""
+    border_weight: float = 0.2
+    """Weight of the outline there. With 0, and 0.2 within the mask, nothing is gained."""
+    beside_px: int = 3
+    """Pixels around a mask where colours are compared."""
     mirror_chance: float = 0.35
     """Probability that a step compares the mirrored vehicle. Without it, the logged views gain
     0.5 dB and the others lose 0.3 dB."""
@@ -102,12 +109,12 @@ class RefinementSettings:
     """Least and largest standard deviation, metres."""
     shift_m: float = 0.05
     """Shift from the prior that counts as 1, metres."""
-    shift_weight: float = 0.2
-    """Weight of the pull of shifts. With a tenth of this and the next two, views from beside the
-    drive lose 0.1 dB."""
-    scale_weight: float = 0.05
+    shift_weight: float = 0.02
+    """Weight of the pull of shifts. Chosen with the next two and `seen_px` on a vehicle of
+    urban-straight 41 and on KITTI's parked track 2, see docs/actors.md."""
+    scale_weight: float = 0.005
     """Weight of the pull of log scales."""
-    direction_weight: float = 0.2
+    direction_weight: float = 0.02
     """Weight of the pull of colours that change with the direction."""
     split_from: float = 0.5
     """Known share of a Gaussian from which on it is cut in two."""
@@ -120,6 +127,20 @@ class RefinementSettings:
     surface_opacity: float = 0.3
     """Opacity from which on a Gaussian counts as surface in the report."""
 
+    # Its shadow.
+    shadow_reach_m: float = 1.5
+    """Ground around the box whose shadow follows the images, metres."""
+    road_weight: float = 1.0
+    """Weight of colours on the road over those on the vehicle."""
+    dark: float = 0.02
+    """Display value of a shadow at first."""
+    densest: float = 2.0
+    """Logit of the opacity of a Gaussian of the shadow, at most."""
+    shade_rate: float = 0.1
+    """Learning rate of the logits of its opacities."""
+    shade_weight: float = 0.005
+    """Weight of the pull of the shadow towards the one that sun and sky cast."""
+
     # How much of it was seen.
     patch_m: float = 0.06
     """Surface around a Gaussian that is seen or not seen together, metres."""
@@ -128,13 +149,16 @@ class RefinementSettings:
     KITTI's track 5, which is far off: without it the van is hardly free."""
     shown_px: float = 0.5
     """Pixels of a Gaussian's own over all images that put it in the picture."""
-    seen_px: float = 20.0
-    """Pixels of a patch over all images that make it two thirds seen; 200 and 20 were
+    seen_px: float = 4.0
+    """Pixels of a patch over all images that make it two thirds seen; 200, 20 and 4 were
     compared."""
     neighbours: int = 8
     """Gaussians over which the freedom is smoothed."""
     mirrored_freedom: float = 0.6
     """Freedom of what only images of the other side show."""
+
+    least_freedom: float = 0.02
+    """With less, a Gaussian stays as it is."""
 
     # The paint of what nobody saw.
     known: float = 0.6
@@ -195,6 +219,8 @@ class RefinementSettings:
             "logit_opacities": self.opacities_rate,
             "sh": self.colours_rate,
             "poses": self.free_pose_share * self.pose_rate,
+            "shadow_sh": self.colours_rate,
+            "shadow_logit_opacities": self.shade_rate,
         }
 
     @property

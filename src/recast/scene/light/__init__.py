@@ -6,6 +6,8 @@ from recast.scene.light.relight import (
     LitSurface,
     PlaceLight,
     SceneLight,
+    SeenShadow,
+    darkened,
     recorded_light,
 )
 from recast.scene.light.sun import SunBelief
@@ -16,6 +18,8 @@ __all__ = [
     "LitSurface",
     "PlaceLight",
     "SceneLight",
+    "SeenShadow",
     "SunBelief",
+    "darkened",
     "recorded_light",
 ]

@@ -28,7 +28,7 @@ from recast.scene.light.sun import (
     street_surfaces,
 )
 from recast.scene.street_scene import StreetScene
-from recast.splats import Gaussians
+from recast.splats import Gaussians, concatenate
 from recast.splats.sh import C0, basis, rotate
 
 _LANE_M = 1.5  # from vehicles' paths: there it is road that is seen
@@ -229,6 +229,7 @@ _HIT = 0.25  # blurred share of a cell's neighbourhood that points must hit to c
 _TOE = 1.5  # cameras darken shade: a shadow looks as if the sun that it lacks were stronger
 _THICKNESS_M = 0.003
 _FAINTEST, _DEEPEST = 0.015, 0.97
+_TURN = np.radians(30.0)  # of a vehicle, after which its shadow lies elsewhere
 
 COAT = 0.04
 """Reflectance of clear coat and glass at normal incidence."""
@@ -240,6 +241,34 @@ _RATIO = (0.1, 6.0)
 _LEAST_LIT = 0.02  # display value
 
 
+@dataclass(frozen=True)
+class SeenShadow:
+    """The shadow that images of a vehicle show, and where it stood then.
+
+    Attributes:
+        sheet: level Gaussians, actor frame.
+        yaws: (P,) headings in the world, radians.
+        sun: mean light of the sun on what faces it, see `PlaceLight`.
+    """
+
+    sheet: Gaussians
+    yaws: Array
+    sun: float
+
+    def share(self, place: PlaceLight, yaw: float) -> float:
+        """How far it holds elsewhere: 1 for its heading and light, 0 after a turn of 30 degrees."""
+        turn = np.abs((self.yaws - yaw + np.pi) % (2 * np.pi) - np.pi).min()
+        sun = float(place.sun.mean()) + 1.0  # the sky is a unit of light, too
+        same = min(sun, self.sun + 1.0) / max(sun, self.sun + 1.0)
+        return float(max(1 - turn / _TURN, 0.0) * same)
+
+
+def darkened(shadow: Gaussians, factor: float) -> Gaussians:
+    """A shadow with its opacities times a factor."""
+    opacities = (shadow.logit_opacities.sigmoid() * factor).clamp(1e-6, 1 - 1e-4)
+    return replace(shadow, logit_opacities=opacities.logit())
+
+
 class ActorLight:
     """What is needed to light a vehicle anew: a `recast.scene.actor.Lighting`.
 
@@ -249,6 +278,7 @@ class ActorLight:
         surface: normals and places of the Gaussians.
         recorded: (N,) float32 light that each Gaussian's colour was recorded in.
         shadow: what makes the shadow; None if the vehicle has none.
+        seen: the shadow that images show; it takes the place of `shadow` where it holds.
     """
 
     def __init__(
@@ -258,14 +288,17 @@ class ActorLight:
         surface: LitSurface,
         recorded: Tensor,
         shadow: CastShadow | None,
+        seen: SeenShadow | None = None,
     ) -> None:
-        self.scene, self.surface, self.recorded, self.shadow = scene, surface, recorded, shadow
+        self.scene, self.surface, self.recorded = scene, surface, recorded
+        self.shadow, self.seen = shadow, seen
         self._paint = Paint(gaussians, COAT * scene.sky_radiance)
 
     @property
     def shadow_room(self) -> int:
         """Most Gaussians that the shadow has."""
-        return 0 if self.shadow is None else self.shadow.room
+        seen = 0 if self.seen is None else len(self.seen.sheet)
+        return seen + (0 if self.shadow is None else self.shadow.room)
 
     def lit(self, actor: SceneActor, pose: Array) -> SceneActor:
         """The actor in the light of where it stands, and not to be lit again.
@@ -281,6 +314,11 @@ class ActorLight:
         if self.shadow is not None:
             yaw = float(np.arctan2(pose[1, 0], pose[0, 0]))
             shadow = self.shadow.sheet(self.scene, place, yaw)
+            share = 0.0 if self.seen is None else self.seen.share(place, yaw)
+            if self.seen is not None and share > 0:
+                shadow = concatenate(
+                    [darkened(shadow, 1 - share), darkened(self.seen.sheet, share)]
+                )
         return replace(actor, gaussians=gaussians, shadow=shadow, light=None)
 
 
@@ -391,19 +429,22 @@ class CastShadow:
         sun = _TOE * directions()[0][:, 2:] * (self._stations[cells] @ place.sun)
         return _left(sky, self._left[cells], sun, hidden), _left(sky, 1.0, sun, hidden)
 
-    def sheet(self, light: SceneLight, place: PlaceLight, yaw: float) -> Gaussians:
+    def sheet(
+        self, light: SceneLight, place: PlaceLight, yaw: float, whole: bool = False
+    ) -> Gaussians:
         """The shadow, actor frame.
 
         Args:
             yaw: heading of the vehicle in the world, radians.
+            whole: whether places without shadow are in it, too.
         """
         hidden = _turned(light.sun.probability, yaw).astype(np.float32) @ self._sun
         sky = self._stations @ place.sky
         sun = _TOE * light.sun_on_ground * (self._stations @ place.sun)
         left = _left(sky, self._left, sun, hidden)
         dark = 1 - left ** (1 / GAMMA)
-        kept = np.flatnonzero(dark > _FAINTEST)
-        opacity = 1 - (1 - np.minimum(dark[kept], _DEEPEST)) ** (1 / _OVERLAP)
+        kept = np.flatnonzero(whole | (dark > _FAINTEST))
+        opacity = 1 - (1 - np.clip(dark[kept], _FAINTEST, _DEEPEST)) ** (1 / _OVERLAP)
         wide, count = np.log(_WIDTH * _SPACING_M), len(kept)
         scales = torch.tensor([wide, wide, np.log(_THICKNESS_M)], dtype=torch.float32)
         return Gaussians(
