@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -64,6 +65,26 @@ def test_a_vehicle_that_does_not_fit_is_said_not_to(
     choice = choose([partial(asset_of, flat)], observation, street, evidence)
     assert not choice.fits
     assert "does not fit" in choice.actor.provenance.candidates[0].cells()[-1]
+
+
+def test_a_front_of_fog_or_of_another_paint_counts_against_a_candidate(
+    red_car: Gaussians, observation: Observation, street: DrivingLog, evidence: Evidence
+) -> None:
+    """The log sees the rear: what it says of all three is the same."""
+    front = red_car.means[:, 0] > 0.4
+    wide = red_car.log_scales.clone()
+    wide[front] = wide[front].clamp(min=-2.3)
+    fog = replace(red_car, log_scales=wide)
+    white = red_car.sh.clone()
+    white[front, 0] = 1.4
+    other = replace(red_car, sh=white)
+    makers = [partial(asset_of, one, k) for k, one in enumerate((fog, other, red_car))]
+    choice = choose(makers, observation, street, evidence)
+    assert choice.actor.provenance.seed == 2
+    scores = [row.score for row in choice.actor.provenance.candidates]
+    assert scores[0] and scores[1] and scores[2]
+    assert scores[0].detail < 0.7 * scores[2].detail
+    assert scores[1].apart > scores[2].apart + 20
 
 
 def test_no_candidate_at_all(

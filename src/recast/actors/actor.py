@@ -336,6 +336,8 @@ class CandidateScore(Record):
         colour: mean absolute difference of display values where both are, after one gain.
         lidar: share of the LiDAR points within 10 cm of its surface; `lidar_median` in metres.
         free: share of its surface in space that LiDAR rays passed through.
+        detail: fine structure of views that no image has, display values; 0 is fog.
+        apart: difference of its colours there from those of the sides that were seen, CIE Lab.
         total: all of these in units; the largest is taken.
         fits: whether outline and LiDAR speak of the same kind of vehicle.
     """
@@ -345,6 +347,8 @@ class CandidateScore(Record):
     lidar: float | None
     lidar_median: float | None
     free: float
+    detail: float = 0.0
+    apart: float = 0.0
     total: float
     fits: bool
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
+import cv2
 import numpy as np
 import torch
 from numpy.typing import NDArray
@@ -56,12 +57,13 @@ from recast.actors.place import (
 )
 from recast.actors.template import TemplateGenerator
 from recast.arrays import Array
+from recast.cameras import PinholeCamera
 from recast.core.diagnostics import Progress
 from recast.core.errors import InputError
 from recast.geometry import se3
 from recast.geometry.colour import GAMMA
 from recast.logs import DrivingLog, Track, track_points
-from recast.scene.actor import draw
+from recast.scene.actor import draw, look_at
 from recast.splats import Gaussians, LowPass
 from recast.splats.sh import C0
 
@@ -235,6 +237,10 @@ _LEAST_LIDAR = 50  # points that say something of a shape
 # Differences that count as one unit: overlap, share of LiDAR points met, of the surface in free
 # space, and of colours in display values.
 _OUTLINE, _LIDAR, _FREE, _COLOUR = 0.03, 0.06, 0.03, 0.03
+# The same for the sides that nobody saw: log of the detail, and CIE Lab beyond what light does.
+_FOG, _PAINT, _SAME_PAINT, _MOST_UNSEEN = 0.4, 5.0, 10.0, 3.0
+_LOOK_PX = 128
+_SEEN_WITHIN, _UNSEEN_BEYOND = 35.0, 60.0  # degrees from a view
 LEAST_OUTLINE, LEAST_LIDAR = 0.75, 0.7
 """Overlap with the masks, and share of the LiDAR points within 10 cm, of a vehicle that fits."""
 
@@ -290,7 +296,7 @@ def choose(
     """
     track = log.tracks[observation.track_id]
     rows: list[CandidateRecord] = []
-    best: tuple[float, int, Actor] | None = None
+    actors: dict[int, Actor] = {}
     failure: InputError | None = None
     for index, make in enumerate(makers):
         if progress is not None:
@@ -302,26 +308,52 @@ def choose(
             failure = error
             rows.append(CandidateRecord(generator="", seed=0, label=f"none: {error}"))
             continue
-        score = candidate_score(actor, evidence)
+        actors[len(rows)] = actor
         rows.append(
             CandidateRecord(
-                generator=asset.generator, seed=asset.seed, label=_label(asset), score=score
+                generator=asset.generator,
+                seed=asset.seed,
+                label=_label(asset),
+                score=candidate_score(actor, evidence),
             )
         )
-        if best is None or score.total > best[0]:
-            best = (score.total, index, actor)
     if progress is not None:
         progress(len(makers), len(makers))
-    if best is None:
+    if not actors:
         raise failure or InputError(
             "candidates", "vehicles", "none was generated", "give at least one generator"
         )
-    _, chosen, actor = best
+    rows = _judged_unseen(rows)
+    chosen = max(actors, key=lambda row: _total(rows[row]))
+    actor = actors[chosen]
     rows[chosen] = rows[chosen].model_copy(update={"chosen": True})
     provenance = actor.provenance.model_copy(update={"candidates": tuple(rows)})
     kept = rows[chosen].score
     assert kept is not None
     return CandidateChoice(replace(actor, provenance=provenance), kept.fits)
+
+
+def _total(row: CandidateRecord) -> float:
+    return -np.inf if row.score is None else row.score.total
+
+
+def _judged_unseen(rows: list[CandidateRecord]) -> list[CandidateRecord]:
+    """The rows with what nobody saw in their totals: fog and another paint count against them.
+
+    Detail is compared with that of the most detailed candidate, since none is the truth.
+    """
+    scores = [row.score for row in rows if row.score is not None]
+    most = max(score.detail for score in scores)
+    judged = []
+    for row in rows:
+        if row.score is not None and most > 0:
+            fog = np.log(most / max(row.score.detail, 1e-6)) / _FOG
+            other = max(row.score.apart - _SAME_PAINT, 0.0) / _PAINT
+            less = min(float(fog), _MOST_UNSEEN) + min(other, _MOST_UNSEEN)
+            score = row.score.model_copy(update={"total": row.score.total - less})
+            row = row.model_copy(update={"score": score})
+        judged.append(row)
+    return judged
 
 
 def _label(asset: Asset) -> str:
@@ -346,7 +378,10 @@ def candidate_score(actor: Actor, evidence: Evidence) -> CandidateScore:
         total += overlap / _OUTLINE - colour / _COLOUR
     if measured:
         total += lidar / _LIDAR
+    detail, apart = unseen_look(actor, views)
     return CandidateScore(
+        detail=detail,
+        apart=apart,
         outline=overlap if views else None,
         colour=colour if views else None,
         lidar=lidar if measured else None,
@@ -355,6 +390,45 @@ def candidate_score(actor: Actor, evidence: Evidence) -> CandidateScore:
         total=total,
         fits=(not views or overlap >= LEAST_OUTLINE) and (not measured or lidar >= LEAST_LIDAR),
     )
+
+
+def unseen_look(actor: Actor, views: Sequence[Sighting]) -> tuple[float, float]:
+    """Detail of the sides that no view shows, and how far their colours are from the seen ones'.
+
+    Both sides of a vehicle are alike, so a side counts as seen if its mirror image was.
+
+    Returns:
+        Mean absolute Laplacian inside the outline, display values; difference of the median colours
+        of seen and unseen views, CIE Lab. (0, 0) if all or no sides were seen.
+    """
+    eyes = [se3.inverse(view.camera_from_object)[:3, 3] for view in views]
+    seen = [abs(float(np.degrees(np.arctan2(eye[1], eye[0])))) for eye in eyes]
+    length = float(actor.size[0])
+    focal = 1.6 * _LOOK_PX
+    camera = PinholeCamera(_LOOK_PX, _LOOK_PX * 2 // 3, focal, focal, _LOOK_PX / 2, _LOOK_PX / 3)
+    details, colours = [], {True: [], False: []}  # type: ignore[var-annotated]
+    for azimuth in (0.0, 40.0, 90.0, 140.0, 180.0):
+        apart = min((abs(azimuth - one) for one in seen), default=0.0)
+        if _SEEN_WITHIN < apart < _UNSEEN_BEYOND:
+            continue
+        turn = np.radians(azimuth)
+        eye = 2.2 * length * np.array([np.cos(turn), np.sin(turn), 0.2])
+        with torch.no_grad():
+            picture = draw(actor.gaussians, look_at(eye, np.zeros(3)), camera, actor.low_pass)
+        inside = picture.alpha.numpy() > 0.9
+        rgb = np.clip(picture.rgb.numpy(), 0, 1).astype(np.float32)
+        if not inside.any():
+            continue
+        unseen = apart >= _UNSEEN_BEYOND
+        colours[unseen].append(cv2.cvtColor(rgb, cv2.COLOR_RGB2LAB)[inside])
+        if unseen:
+            core = cv2.erode(inside.astype(np.uint8), np.ones((3, 3), np.uint8)) > 0
+            edges = np.abs(cv2.Laplacian(cv2.cvtColor(rgb, cv2.COLOR_RGB2GRAY), cv2.CV_32F))
+            details.append(float(edges[core].mean()) if core.any() else 0.0)
+    if not colours[True] or not colours[False]:
+        return 0.0, 0.0
+    first, second = (np.median(np.concatenate(colours[unseen]), axis=0) for unseen in (True, False))
+    return float(np.mean(details)), float(np.linalg.norm(first - second))
 
 
 def _chosen(sightings: tuple[Sighting, ...]) -> list[Sighting]:
