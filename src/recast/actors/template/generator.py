@@ -33,6 +33,7 @@ from recast.actors.template.lighting import (
 )
 from recast.actors.template.materials import VehiclePart
 from recast.actors.template.parts import (
+    OVERLAP_WEIGHT,
     STEPS,
     PartEvidence,
     accepted,
@@ -68,6 +69,7 @@ _STYLES = 3  # offered to choose from
 _WHEEL_REACH = 1.45  # wheel radii about an axle within which a photograph may show the wheel
 _SAME_COLOUR = 0.12  # display values
 _LESS_OVERLAP = 0.12  # of a further view with its mask than the first: it shows something else
+_PART_TRUST = 0.4  # between styles: a whole pane that is off is one error, not many
 _CLOSE = 12.0  # cost by which a style may be behind and still be chosen by its parts
 _ROUNDS = (STEPS, STEPS[1:])  # of parts and placement, each with the other
 _SKETCH_SPACING = 0.035  # metres: enough for a silhouette
@@ -128,8 +130,8 @@ class TemplateGenerator(BaseGenerator):
         fits = _fits(observation, rng, self.style)
         likely = [fit for fit in fits[:_STYLES] if fit.cost < fits[0].cost + _CLOSE]
         placed = [_placed(observation, fit, spacing, rng) for fit in likely]
-        # half of a cost is nats, as those by which the parts agree
-        totals = [one.agreement - fit.cost / 2 for fit, one in zip(likely, placed, strict=True)]
+        # half of a cost is nats
+        totals = [one.total - fit.cost / 2 for fit, one in zip(likely, placed, strict=True)]
         best = int(np.argmax(totals))
         fit, body, placements = likely[best], placed[best].body, placed[best].placements
         least = placements[0].overlap - _LESS_OVERLAP
@@ -188,7 +190,13 @@ class PlacedTemplate:
 
     body: TemplateBody
     placements: tuple[TemplatePlacement, ...]  # placement in each view
-    agreement: float  # nats by which its parts and outline explain the views
+    agreement: float  # nats by which its parts explain the views
+
+    @property
+    def total(self) -> float:
+        """Nats by which parts and outlines speak for it, to be compared between styles."""
+        missed = sum(1 - one.overlap for one in self.placements)
+        return _PART_TRUST * self.agreement - OVERLAP_WEIGHT * missed
 
 
 def _placed(

@@ -281,14 +281,15 @@ def settled(
         shift = placement.shift + _SHIFT_SPREAD * x[:2] @ across
         return replace(placement, shift=shift, yaw=placement.yaw + _YAW_SPREAD * float(x[2]))
 
+    def fit(placed: TemplatePlacement) -> float:
+        return float(seen.weight @ _own(evidence.sampled(placed.points(seen.points)), part))
+
     def cost(x: Array) -> float:
         other = moved(x)
-        fit = seen.weight @ _own(evidence.sampled(other.points(seen.points)), part)
-        return _OVERLAP_WEIGHT * (1 - overlap(other)) - float(fit) + 0.5 * float(x @ x)
+        return OVERLAP_WEIGHT * (1 - overlap(other)) - fit(other) + 0.5 * float(x @ x)
 
-    x = minimum(cost, 3, 60, xatol=0.05, fatol=0.05)
-    best = moved(x)
-    return SettledView(replace(best, overlap=overlap(best)), -cost(x))
+    best = moved(minimum(cost, 3, 60, xatol=0.05, fatol=0.05))
+    return SettledView(replace(best, overlap=overlap(best)), fit(best))
 
 
 @dataclass(frozen=True)
@@ -296,11 +297,12 @@ class SettledView:
     """Where the vehicle is in one view."""
 
     placement: TemplatePlacement
-    agreement: float  # nats by which parts and outline explain the view
+    agreement: float  # nats by which its parts explain the view
 
 
 _SHIFT_SPREAD, _YAW_SPREAD = 0.06, np.radians(1.5)  # metres, radians: labels are off in one frame
-_OVERLAP_WEIGHT = 60.0
+OVERLAP_WEIGHT = 60.0
+"""Nats of the whole overlap of an outline with its mask."""
 
 
 def _own(scores: Array, part: Int64Array) -> Array:
