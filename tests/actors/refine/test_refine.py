@@ -73,7 +73,8 @@ def test_the_shadow_follows_the_images(guess: Actor, red_car: Gaussians) -> None
     shadow = contact_shadow(-half, half, -half[2])
     beside = shadow.means[:, 1].abs() < 0.3
     patch = dataclasses.replace(
-        shadow.select(beside), means=shadow.means[beside] + torch.tensor([0.0, half[1] + 0.5, 0.0])
+        shadow.select(beside),
+        means=shadow.means[beside] + torch.tensor([0.0, float(half[1]) + 0.5, 0.0]),
     )
     scene = made_up_evidence.empty_street(red_car, len(AROUND))
     alone = made_up_evidence.evidence(red_car, AROUND)
@@ -83,7 +84,8 @@ def test_the_shadow_follows_the_images(guess: Actor, red_car: Gaussians) -> None
         for one, other in zip(both.sightings, alone.sightings, strict=True)
     )
     evidence = dataclasses.replace(both, sightings=sightings)
-    actor = refine(dataclasses.replace(guess, shadow=shadow), evidence, scene, steps=FEW)
+    steps = Steps(shape=5, paint=20, free=5, look_every=5)
+    actor = refine(dataclasses.replace(guess, shadow=shadow), evidence, scene, steps=steps)
     seen = actor.seen_shadow
     assert seen is not None
     opacity = torch.sigmoid(seen.logit_opacities)
