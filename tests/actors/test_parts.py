@@ -129,3 +129,29 @@ def test_a_view_of_something_else_is_left_out_and_told() -> None:
     right = replace(first, further=(wrong,))
     details = TemplateGenerator(0.05, "hatchback").generate(right, 0).details
     assert "left_out" not in details and details["views"] == 2
+
+
+def test_what_does_not_look_like_the_vehicle_is_told() -> None:
+    vehicle, _ = drawn_as(STYLES["hatchback"])
+    clean = seen_from(vehicle, 150.0)
+    generator = TemplateGenerator(0.05, "hatchback")
+    assert "doubts" not in generator.generate(clean, 0).details
+    rgba = clean.rgba.copy()
+    height, width = rgba.shape[:2]
+    rgba[height // 2 :, : width // 2, :3] = [20, 140, 30]  # something green before its side
+    told = str(generator.generate(replace(clean, rgba=rgba), 0).details["doubts"])
+    assert "another vehicle" in told and "night" not in told
+    dark = np.zeros((600, 800, 4), np.uint8)
+    dark[..., :3] = 5  # the road at night
+    inside = clean.rgba[..., 3] > 127
+    top, left = (600 - height) // 2, (800 - width) // 2
+    dark[top : top + height, left : left + width][inside] = clean.rgba[inside] // [25, 25, 25, 1]
+    camera = replace(
+        clean.camera,
+        width=800,
+        height=600,
+        cx=clean.camera.cx + left,
+        cy=clean.camera.cy + top,
+    )
+    night = replace(clean, rgba=dark, camera=camera)
+    assert "night" in str(generator.generate(night, 0).details["doubts"])

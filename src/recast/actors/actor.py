@@ -461,6 +461,11 @@ class Provenance(SourceView):
     refinement: Refinement | None = None
     candidates: tuple[CandidateRecord, ...] = ()
 
+    def warnings(self) -> tuple[str, ...]:
+        """What a person should look at: the mask, and what the generator doubts."""
+        doubts = str(self.details.get("doubts", ""))
+        return (*self.mask.warnings(), *filter(None, doubts.split("; ")))
+
     @staticmethod
     def of(asset: Asset, observation: Observation, report: RegistrationReport) -> Provenance:
         """Gather the record of an asset that was registered."""

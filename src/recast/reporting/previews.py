@@ -162,7 +162,7 @@ def _sections(actor: Actor) -> list[list[_Line]]:
         refined = story.refinement.explain().splitlines()
     sections = [
         _section("Generator", made),
-        _section("Source view", [*seen, *story.mask.warnings()]),
+        _section("Source view", [*seen, *story.warnings()]),
         _section("Registration", story.registration.explain().splitlines()),
         _section("Refinement", refined),
     ]

@@ -71,7 +71,7 @@ class SamplingProgress(Bars):
 def print_actor(actor: Actor, console: Console) -> None:
     """Print the chosen vehicle, its registration, and warnings that need a person's eye."""
     provenance = actor.provenance
-    for warning in provenance.mask.warnings():
+    for warning in provenance.warnings():
         console.print(f"warning: {warning}", markup=False, style="yellow")
     if len(provenance.candidates) > 1:
         console.print(candidates_table(provenance.candidates))

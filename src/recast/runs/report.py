@@ -408,7 +408,7 @@ def actor_part(actor: Actor, frame: Path, film: Path | None, log: DrivingLog) ->
                     "; ".join(provenance.mask.explain().splitlines()),
                     "compared with the logged box and the LiDAR",
                 ),
-                *(Fact("Check the mask", text) for text in provenance.mask.warnings()),
+                *(Fact("Check the image", text) for text in provenance.warnings()),
             ),
         ),
         turntable=NOT_MADE if film is None else film,
