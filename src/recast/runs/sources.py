@@ -12,6 +12,7 @@ from rich.console import Console
 
 from recast.actors import DEFAULT_GENERATOR, GENERATORS, SEGMENTERS
 from recast.actors.library import LIBRARY
+from recast.actors.parametric import PARAMETRIC, ParametricGenerator
 from recast.actors.vehicle_files import files_of_vehicle, is_vehicle_file
 from recast.core.artefact import file_hash, files_hash, folder_hash, remote_path
 from recast.core.diagnostics import ProgressBar
@@ -25,6 +26,7 @@ from recast.runs.config import RunConfig
 from recast.synthetic import CAMERAS, World, synthesize_log, world_metadata, world_of
 from recast.synthetic.rendering import require_embree
 from recast.trellis import RECAST_MINI, recast_mini
+from recast.weights import shipped_folder
 
 RECIPES = {
     "log": 2,
@@ -198,6 +200,8 @@ def generator_source(name: str) -> str:
         return files_hash([first, *others], first.parent) if others else file_hash(first)
     if name == RECAST_MINI:
         return folder_hash(recast_mini())
+    if name == ParametricGenerator.name:
+        return f"{name} {folder_hash(shipped_folder(PARAMETRIC))}"
     if name == DEFAULT_GENERATOR:  # offers the template and that model
         return f"{name} {folder_hash(recast_mini())}"
     return GENERATORS.source(name)

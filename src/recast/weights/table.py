@@ -186,6 +186,7 @@ Sha256 = Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]
 _PACKAGE = Path(__file__).parents[1]
 _SHIPPED = {
     "recast-mini": (_PACKAGE / "trellis", "--model"),
+    "recast-parametric": (_PACKAGE / "actors/parametric", ""),
     "gtrs-mini": (_PACKAGE / "planning", "--start"),
     "gtrs-mini-oracle": (_PACKAGE / "planning", "--start"),
 }

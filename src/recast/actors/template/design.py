@@ -484,6 +484,8 @@ def _ordered(design: VehicleDesign) -> VehicleDesign:
     p, rear, side = design.proportions, design.rear, design.side
     tail_z = max(p.tail_z, p.deck_z + 0.01)
     p = replace(p, tail_x=max(p.tail_x, p.roof_rear_x + 0.012), tail_z=tail_z)
+    # knots of the profile must not coincide
+    p = replace(p, cowl_x=max(p.cowl_x, 0.004), tail_x=min(p.tail_x, 1.012))
     rear = replace(rear, lamp_high=max(rear.lamp_high, rear.lamp_low + _LAMP))
     side = replace(side, pillar_c_x=max(side.pillar_c_x, side.pillar_b_x + _PANE))
     return replace(design, proportions=p, rear=rear, side=side)
