@@ -245,9 +245,9 @@ def test_options_that_take_paths(
 ) -> None:
     for words in (
         ["actor", "generate", "car.png", "--model", "trellis", "--out", "x"],
-        ["eval", "actor", "template", "set", "--out", "x", "--lpips-weights", "alexnet"],
-        ["eval", "actor", "template", "set", "--out", "x", "--clip", "clip-vit-l14"],
-        ["eval", "actor", "template", "set", "--out", "x", "--dino", "dinov2"],
+        ["eval", "photographs", "set", "--out", "x", "--lpips-weights", "alexnet"],
+        ["eval", "photographs", "set", "--out", "x", "--clip", "clip-vit-l14"],
+        ["eval", "photographs", "set", "--out", "x", "--dino", "dinov2"],
         [
             "eval",
             "generation",

@@ -30,7 +30,6 @@ from recast.actors.generate import (
     Asset,
     BaseGenerator,
     candidates_of,
-    recast_mini_generator,
 )
 from recast.actors.icp import (
     FitSurface,
@@ -45,6 +44,7 @@ from recast.actors.icp import (
 from recast.actors.insert import colour_difference, compare_views, contact_shadow
 from recast.actors.observation import SIDES, Observation
 from recast.actors.observe import require_points
+from recast.actors.parametric import ParametricGenerator
 from recast.actors.place import (
     COARSE_YAWS,
     FINE_YAWS,
@@ -246,12 +246,12 @@ LEAST_OUTLINE, LEAST_LIDAR = 0.75, 0.7
 
 
 class AutoGenerator(BaseGenerator):
-    """Offers the vehicles of generators; of the template and the small model if none are given."""
+    """Offers the vehicles of generators; of the template and the parametric one if none are given."""
 
     name = "auto"
 
     def __init__(self, generators: Sequence[ActorGenerator] | None = None) -> None:
-        self.generators = generators or (TemplateGenerator(), recast_mini_generator())
+        self.generators = generators or (TemplateGenerator(), ParametricGenerator())
 
     def candidates(self, observation: Observation, seed: int) -> Sequence[Callable[[], Asset]]:
         """Those of each generator, in order."""

@@ -200,10 +200,8 @@ def generator_source(name: str) -> str:
         return files_hash([first, *others], first.parent) if others else file_hash(first)
     if name == RECAST_MINI:
         return folder_hash(recast_mini())
-    if name == ParametricGenerator.name:
+    if name in (ParametricGenerator.name, DEFAULT_GENERATOR):  # the latter offers it, too
         return f"{name} {folder_hash(shipped_folder(PARAMETRIC))}"
-    if name == DEFAULT_GENERATOR:  # offers the template and that model
-        return f"{name} {folder_hash(recast_mini())}"
     return GENERATORS.source(name)
 
 

@@ -38,6 +38,7 @@ _ASPHALT = 0.11  # linear reflectance of worn asphalt
 _ROAD_TRUST = (
     0.6  # how far the road's brightness decides the level: roads differ by a factor of two
 )
+_HUES = 0.85, 1.18  # of daylight, from shade to a low sun
 _HUE_TRUST = 0.5  # how far the road's hue decides that of the light: concrete is a little warm
 _LEVEL = (0.2, 1.6)
 _BRIGHTEST_ROAD = 0.6  # linear light
@@ -276,7 +277,7 @@ def road_tint(road: Array) -> tuple[float, float, float]:
     """Colour of the light, mean 1, by the linear light (3,) of the road, which is nearly grey."""
     if not np.isfinite(road).all() or road.min() <= 0:
         return (1.0, 1.0, 1.0)
-    red, green, blue = (road / road.mean()) ** _HUE_TRUST
+    red, green, blue = np.clip((road / road.mean()) ** _HUE_TRUST, *_HUES)  # a verge is green
     mean = (red + green + blue) / 3
     return float(red / mean), float(green / mean), float(blue / mean)
 

@@ -338,7 +338,8 @@ def seen_patches(
     shown = cloud.on_body & (view.weight > 0.2)
     area = view.weight[shown] * cloud.spacing[shown] ** 2
     total = float(area.sum())
-    share = _MEASUREMENTS * min(total / _WHOLE_VIEW, 1.0)
+    fine = float(np.median(view.sharpness[shown])) / _FINE if shown.any() else 0.0
+    share = _MEASUREMENTS * min(total / _WHOLE_VIEW, 1.0) * min(fine, 1.0)
     points = cloud.points[shown]
     return SeenPatches(
         points,
@@ -348,4 +349,5 @@ def seen_patches(
     )
 
 
+_FINE = 60.0  # pixels a metre from which lamps and plates are several pixels high
 _WHOLE_VIEW = 5.0  # square metres that a view of two sides of a car shows
