@@ -246,7 +246,7 @@ LEAST_OUTLINE, LEAST_LIDAR = 0.75, 0.7
 
 
 class AutoGenerator(BaseGenerator):
-    """Offers the vehicles of generators; of the template and the parametric one if none are given."""
+    """Offers the vehicles of generators; of `template` and `parametric` if none are given."""
 
     name = "auto"
 

@@ -148,9 +148,9 @@ STEPS = option("Steps of 0.1 s for each rollout; fewer if the log or the road en
 # What the actor is made from.
 GENERATOR = option(
     "Generator of the actor: auto (the better of template and parametric), recast-mini (the "
-    "image-to-3D model in the package), parametric, template, the name of an installed generator, trellis "
-    "(recast weights), a model folder, a file of Gaussians (PLY, GLB, SPZ, USDA) or of a mesh "
-    "(GLB, OBJ), or library:FOLDER (the best vehicle in that folder).",
+    "image-to-3D model in the package), parametric, template, the name of an installed "
+    "generator, trellis (recast weights), a model folder, a file of Gaussians (PLY, GLB, SPZ, "
+    "USDA) or of a mesh (GLB, OBJ), or library:FOLDER (the best vehicle in that folder).",
     "auto",
     metavar="NAME",
 )

@@ -30,16 +30,16 @@ from recast.weights import shipped_folder
 
 RECIPES = {
     "log": 2,
-    "actor": 8,
-    "refine": 4,
+    "actor": 9,
+    "refine": 5,
     "turntable": 1,
     "scene": 4,
     "evaluation": 3,
     "truth": 4,
-    "rollout": 6,
+    "rollout": 7,
     "scene-level": 3,
     "metrics": 7,
-    "report": 7,
+    "report": 8,
 }
 """Version of what recast's own code makes of the inputs of a step.
 
