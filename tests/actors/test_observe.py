@@ -36,6 +36,21 @@ def test_takes_the_largest_view_that_is_whole(observation: Observation, street: 
     assert observation.view.frame == 1
 
 
+def test_a_frame_that_cuts_the_vehicle_is_never_first(street: DrivingLog) -> None:
+    """Nearby and hardly cut, it would be three times as large as any whole one."""
+    whole = score_frame(street, street.tracks["7"], street.cameras["front"], 2)
+    assert whole is not None and whole.whole
+    whole = dataclasses.replace(whole, frame=0)
+    cut = dataclasses.replace(whole, frame=1, size_px=3 * whole.size_px, in_image=0.9)
+    tiny = dataclasses.replace(whole, frame=2, size_px=20.0)
+    pool = ViewPool(street, street.tracks["7"])
+    pool._bounds = [cut, tiny, whole]
+    pool._checked = {view.key: view for view in pool._bounds}
+    assert [view.frame for view in pool.ranked()] == [0, 1, 2]
+    pool._bounds = [tiny, cut]
+    assert pool.ranked()[0] is cut  # better than nothing
+
+
 def test_another_track_in_front_lowers_the_score(street: DrivingLog) -> None:
     sweeps = NearestSweeps(street)
     bound = score_frame(street, street.tracks["8"], street.cameras["front"], 3)

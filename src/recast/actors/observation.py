@@ -26,6 +26,9 @@ _LEAST_SHARE = 0.2  # of the best view's detail: smaller or more hidden ones tel
 _LEAST_GAIN = 0.1  # of the best view's detail
 _LEAST_IN_IMAGE = 1 / 3  # of the box: of less, neither the place nor the mask can be told
 _MIN_CHECKED = 4
+_WHOLE_IN_IMAGE = 0.95  # the box is grown: the vehicle itself is not cut
+_SMALLEST_WHOLE = 24.0  # pixels: of less, a cut vehicle nearby tells more
+_CUT_SCORE = 1e-3  # factor on the score of a frame that cuts the vehicle
 _SWEEP_REACH_US = 150_000
 
 
@@ -187,8 +190,13 @@ class ViewPool:
         ]
 
     def ranked(self) -> list[ViewScore]:
-        """The best frames, best first, at least four if there are so many; ties: earlier first."""
-        return self._best(lambda view: view.score, _MIN_CHECKED)
+        """The best frames, best first, at least four if there are so many; ties: earlier first.
+
+        A frame whose border cuts the vehicle comes after all that show it whole.
+        """
+        return self._best(
+            lambda view: view.score * (1.0 if view.whole else _CUT_SCORE), _MIN_CHECKED
+        )
 
     def next_best(
         self, taken: Sequence[ViewScore], left_out: Sequence[ViewScore]
@@ -280,6 +288,11 @@ class ViewScore:
     def score(self) -> float:
         """Larger is better."""
         return self.size_px * self.in_image**3 * self.unoccluded**2 * self.unblocked
+
+    @property
+    def whole(self) -> bool:
+        """Whether the image's border does not cut the vehicle, and it is not tiny."""
+        return self.in_image >= _WHOLE_IN_IMAGE and self.size_px >= _SMALLEST_WHOLE
 
     @property
     def detail(self) -> float:
