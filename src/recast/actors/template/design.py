@@ -397,7 +397,7 @@ def _design(style: str, size: Array, rng: np.random.Generator | None) -> Vehicle
     bumper = pick(FrontDesign, "bumper", bumpers)
     front = FrontDesign(
         lamp, inner, wrap * (0.5 if working else 1.0), lamp_z, lamp_height * scale, slant,
-        lamp_dark=chance(0.25 + 0.6 * (age < 0.3)),
+        lamp_dark=chance(0.25 + 0.6 * (age < 0.4)),
         amber=chance(1.3 * (age - 0.6)),
         grille=grille, grille_z=grille_z, grille_width=width, grille_height=height * scale,
         bars=pick(FrontDesign, "bars", (5, 1 + price, 2 + 3 * (age < 0.4))),

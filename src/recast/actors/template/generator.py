@@ -74,7 +74,7 @@ _FOREIGN = (
 )
 
 _DARK = 0.25  # level of the light
-_PART_TRUST = 0.4  # between styles: a whole pane that is off is one error, not many
+_PART_TRUST = 0.25  # between styles: a whole pane that is off is one error, not many
 # Cost by which a style may be behind and still be chosen by its parts; not where so many LiDAR
 # points tell its shape: an outline hardly tells a hatchback from an estate.
 _CLOSE, _SOLID_POINTS = 12.0, 100
