@@ -62,6 +62,7 @@ def refined_actor() -> Actor:
         shares=Shares(rear.float(), ((y > 0.3 * made_up.SIZE[1]) & ~rear).float()),
         trajectory=Trajectory(np.array([0, 1]), np.tile(np.eye(4), (2, 1, 1))),
         sun=np.zeros(DIRECTIONS),
+        seen_shadow=contact_shadow(-half, half, -half[2]),
     )
 
 

@@ -92,6 +92,8 @@ class ParametricModel:
             record = json.loads(header[_HEADER])
             codec.check(record["fields"], path)
             network = ParametricNetwork(ParametricConfig.model_validate(record["config"]))
+        except InputError:  # which field of the designs differs
+            raise
         except (KeyError, ValueError) as error:
             raise InputError(path, "config", f"is not usable: {error}", _MEND) from None
         plain = {name: tensor.float() for name, tensor in tensors.items()}

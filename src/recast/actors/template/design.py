@@ -324,6 +324,7 @@ _GRILLES = {
     "hexagon": (0.77, 0.42, 0.26, 0.50, 0.60, 0.08),
     "full": (0.66, 0.62, 0.38, 0.52, 0.55, 0.05),
 }
+_WIDEST_KEI = 1.58  # metres: 1.48 by law, and what a label is off by
 _USED = 0.35  # age and price of what is most usual on roads
 _CAR_STYLES = tuple(style for style in _BODIES if style not in ("van", "bus", "truck"))
 
@@ -523,6 +524,8 @@ def candidate_styles(category: str, size: ArrayLike) -> dict[str, float]:
     costs = {}
     for style in _CAR_STYLES:
         usual_length, usual_width, usual_height, _, rare = _SIZES[style]
+        if style == "kei" and width > _WIDEST_KEI:
+            continue
         costs[style] = rare + float(
             ((length - usual_length) / 0.4) ** 2
             + ((height - usual_height) / 0.12) ** 2
