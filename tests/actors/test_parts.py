@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import torch
 
-from actors.test_template_views import seen_from
+from actors.made_up_views import seen_from
 from recast.actors import Observation, TemplateGenerator
 from recast.actors.template.body import TemplateBody
 from recast.actors.template.cloud import SurfaceCloud, build_cloud
