@@ -6,14 +6,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-import torch
 
 from actors.made_up_views import seen_from
 from recast.actors import Observation, TemplateGenerator
 from recast.actors.template.body import TemplateBody
 from recast.actors.template.cloud import SurfaceCloud, build_cloud
 from recast.actors.template.design import STYLES, VehicleDesign
-from recast.actors.template.generator import _gaussians
+from recast.actors.template.generator import vehicle_gaussians
 from recast.actors.template.materials import VehiclePart
 from recast.actors.template.parts import (
     PartEvidence,
@@ -25,9 +24,8 @@ from recast.actors.template.parts import (
     settled,
     to_lab,
 )
-from recast.actors.template.proportions import TemplatePlacement, find_axles
-from recast.actors.template.texture import SurfaceView, TemplateTexture, view_surface
-from recast.geometry import se3
+from recast.actors.template.proportions import Silhouette, TemplatePlacement, find_axles
+from recast.actors.template.texture import SurfaceView, view_surface
 from recast.geometry.colour import gamma_to_linear
 from recast.splats import Gaussians
 from support import made_up_actors as made_up
@@ -36,17 +34,18 @@ PAINT = np.array([0.45, 0.5, 0.55])
 EXACT = TemplatePlacement(np.ones(3), np.array([0.0, 0.0, -made_up.SIZE[2] / 2]), 1.0)
 
 
+class NoMask(Silhouette):
+    """An outline that fits wherever the vehicle is."""
+
+    def overlap(self, placement: TemplatePlacement) -> float:
+        return 0.9
+
+
 def drawn_as(design: VehicleDesign) -> tuple[Gaussians, SurfaceCloud]:
     """A vehicle of a design, nothing photographed, and its patches."""
     body = TemplateBody(made_up.SIZE, design)
     cloud = build_cloud(body, 0.03, np.random.default_rng(0))
-    count = len(cloud.points)
-    plain = TemplateTexture(
-        np.zeros((count, 3)), np.zeros(count), np.tile([1.0, 0.0, 0.0], (count, 1))
-    )
-    made = _gaussians(body, cloud, gamma_to_linear(PAINT), plain)
-    down = se3.from_rotation_translation(np.eye(3), [0.0, 0.0, -made_up.SIZE[2] / 2])
-    return made.transformed(torch.from_numpy(down)), cloud
+    return vehicle_gaussians(body, cloud, gamma_to_linear(PAINT)), cloud
 
 
 def evidence_of(cloud: SurfaceCloud, view: Observation) -> tuple[SurfaceView, PartEvidence]:
@@ -79,7 +78,7 @@ def test_a_view_is_placed_by_its_parts() -> None:
     seen, evidence = evidence_of(cloud, view)
     patches = seen_patches(cloud, seen, evidence, EXACT)
     body = TemplateBody(made_up.SIZE, STYLES["hatchback"])
-    found = settled(EXACT, patches, body, evidence, lambda placement: 0.9).placement
+    found = settled(EXACT, patches, body, evidence, NoMask(view, cloud.points, 0.03)).placement
     moved = view.camera_from_object[:3, :3] @ (found.shift - EXACT.shift)
     assert moved[0] == pytest.approx(0.08, abs=0.04)
 
@@ -91,10 +90,10 @@ def test_wheels_are_found_from_the_side_not_from_ahead() -> None:
     views = [seen_from(vehicle, 12.0), seen_from(vehicle, 95.0)]
     body = TemplateBody(made_up.SIZE, usual)
     first = replace(views[0], further=(views[1],))
-    found = find_axles(body, first, [EXACT, EXACT]).proportions
+    found = find_axles(body, usual, first, [EXACT, EXACT]).proportions
     assert found.front_axle_x == pytest.approx(0.21, abs=0.012)
     assert found.rear_axle_x == pytest.approx(0.785, abs=0.012)
-    ahead = find_axles(body, views[0], [EXACT]).proportions
+    ahead = find_axles(body, usual, views[0], [EXACT]).proportions
     assert ahead.front_axle_x == usual.proportions.front_axle_x
 
 

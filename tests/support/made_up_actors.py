@@ -10,8 +10,7 @@ import torch
 from recast.actors.template.body import TemplateBody
 from recast.actors.template.cloud import build_cloud
 from recast.actors.template.design import STYLES
-from recast.actors.template.generator import _gaussians
-from recast.actors.template.texture import TemplateTexture
+from recast.actors.template.generator import vehicle_gaussians
 from recast.cameras import PinholeCamera
 from recast.geometry import se3
 from recast.geometry.colour import gamma_to_linear
@@ -34,11 +33,7 @@ def car(size: np.ndarray = SIZE, paint: np.ndarray = RED, style: str = "estate")
     """A coarse template car in the actor frame, nothing photographed."""
     body = TemplateBody(size, STYLES[style])
     cloud = build_cloud(body, 0.04, np.random.default_rng(0))
-    n = len(cloud.points)
-    plain = TemplateTexture(np.zeros((n, 3)), np.zeros(n), np.tile([1.0, 0.0, 0.0], (n, 1)))
-    made = _gaussians(body, cloud, gamma_to_linear(paint), plain)
-    down = se3.from_rotation_translation(np.eye(3), [0.0, 0.0, -size[2] / 2])
-    return made.transformed(torch.from_numpy(down))
+    return vehicle_gaussians(body, cloud, gamma_to_linear(paint))
 
 
 def car_poses() -> np.ndarray:

@@ -61,7 +61,7 @@ from recast.cameras import PinholeCamera
 from recast.core.diagnostics import Progress
 from recast.core.errors import InputError
 from recast.geometry import se3
-from recast.geometry.colour import GAMMA
+from recast.geometry.colour import cielab, gamma_to_linear
 from recast.logs import DrivingLog, Track, track_points
 from recast.scene.actor import draw, look_at
 from recast.splats import Gaussians, LowPass
@@ -137,7 +137,8 @@ def register(asset: Asset, observation: Observation, log: DrivingLog, track: Tra
 
 def _left_over_right(gaussians: Gaussians, points: Array, index: NDArray[np.int64]) -> float:
     """Linear brightness of the left third of a placed surface (N, 3) over that of the right one."""
-    look = (0.5 + C0 * gaussians.sh[index, 0]).clamp(_BLACK, 1).mean(dim=1).numpy() ** GAMMA
+    display = (0.5 + C0 * gaussians.sh[index, 0]).clamp(_BLACK, 1).mean(dim=1)
+    look = gamma_to_linear(display.numpy())
     low, high = bounds(points)
     across = (points[:, 1] - low[1]) / (high[1] - low[1])
     left, right = look[across > 2 / 3], look[across < 1 / 3]
@@ -296,7 +297,8 @@ def choose(
     """
     track = log.tracks[observation.track_id]
     rows: list[CandidateRecord] = []
-    actors: dict[int, Actor] = {}
+    actors: dict[int, Actor] = {}  # by row
+    scores: dict[int, CandidateScore] = {}
     failure: InputError | None = None
     for index, make in enumerate(makers):
         if progress is not None:
@@ -308,51 +310,40 @@ def choose(
             failure = error
             rows.append(CandidateRecord(generator="", seed=0, label=f"none: {error}"))
             continue
-        actors[len(rows)] = actor
+        actors[len(rows)], scores[len(rows)] = actor, candidate_score(actor, evidence)
         rows.append(
-            CandidateRecord(
-                generator=asset.generator,
-                seed=asset.seed,
-                label=_label(asset),
-                score=candidate_score(actor, evidence),
-            )
+            CandidateRecord(generator=asset.generator, seed=asset.seed, label=_label(asset))
         )
     if progress is not None:
         progress(len(makers), len(makers))
-    if not actors:
+    if not scores:
         raise failure or InputError(
             "candidates", "vehicles", "none was generated", "give at least one generator"
         )
-    rows = _judged_unseen(rows)
-    chosen = max(actors, key=lambda row: _total(rows[row]))
+    scores = _judged_unseen(scores)
+    chosen = max(scores, key=lambda row: scores[row].total)
+    for row, score in scores.items():
+        update = {"score": score, "chosen": row == chosen}
+        rows[row] = rows[row].model_copy(update=update)
     actor = actors[chosen]
-    rows[chosen] = rows[chosen].model_copy(update={"chosen": True})
     provenance = actor.provenance.model_copy(update={"candidates": tuple(rows)})
-    kept = rows[chosen].score
-    assert kept is not None
-    return CandidateChoice(replace(actor, provenance=provenance), kept.fits)
+    return CandidateChoice(replace(actor, provenance=provenance), scores[chosen].fits)
 
 
-def _total(row: CandidateRecord) -> float:
-    return -np.inf if row.score is None else row.score.total
-
-
-def _judged_unseen(rows: list[CandidateRecord]) -> list[CandidateRecord]:
-    """The rows with what nobody saw in their totals: fog and another paint count against them.
+def _judged_unseen(scores: dict[int, CandidateScore]) -> dict[int, CandidateScore]:
+    """The scores with what nobody saw in their totals: fog and another paint count against them.
 
     Detail is compared with that of the most detailed candidate, since none is the truth.
     """
-    scores = [row.score for row in rows if row.score is not None]
-    most = max(score.detail for score in scores)
-    judged = []
-    for row in rows:
-        if row.score is not None and most > 0:
-            fog = np.log(most / max(row.score.detail, 1e-6)) / _FOG
-            other = max(row.score.apart - _SAME_PAINT, 0.0) / _PAINT
-            less = min(float(fog), _MOST_UNSEEN) + min(other, _MOST_UNSEEN)
-            score = row.score.model_copy(update={"total": row.score.total - less})
-            row = row.model_copy(update={"score": score})
-        judged.append(row)
+    most = max(score.detail for score in scores.values())
+    if most == 0:
+        return scores
+    judged = {}
+    for row, score in scores.items():
+        fog = float(np.log(most / max(score.detail, 1e-6))) / _FOG
+        other = max(score.apart - _SAME_PAINT, 0.0) / _PAINT
+        less = min(fog, _MOST_UNSEEN) + min(other, _MOST_UNSEEN)
+        judged[row] = score.model_copy(update={"total": score.total - less})
     return judged
 
 
@@ -406,7 +397,8 @@ def unseen_look(actor: Actor, views: Sequence[Sighting]) -> tuple[float, float]:
     length = float(actor.size[0])
     focal = 1.6 * _LOOK_PX
     camera = PinholeCamera(_LOOK_PX, _LOOK_PX * 2 // 3, focal, focal, _LOOK_PX / 2, _LOOK_PX / 3)
-    details, colours = [], {True: [], False: []}  # type: ignore[var-annotated]
+    details: list[float] = []
+    colours: dict[bool, list[Array]] = {True: [], False: []}
     for azimuth in (0.0, 40.0, 90.0, 140.0, 180.0):
         apart = min((abs(azimuth - one) for one in seen), default=0.0)
         if _SEEN_WITHIN < apart < _UNSEEN_BEYOND:
@@ -420,7 +412,7 @@ def unseen_look(actor: Actor, views: Sequence[Sighting]) -> tuple[float, float]:
         if not inside.any():
             continue
         unseen = apart >= _UNSEEN_BEYOND
-        colours[unseen].append(cv2.cvtColor(rgb, cv2.COLOR_RGB2LAB)[inside])
+        colours[unseen].append(cielab(rgb)[inside])
         if unseen:
             core = cv2.erode(inside.astype(np.uint8), np.ones((3, 3), np.uint8)) > 0
             edges = np.abs(cv2.Laplacian(cv2.cvtColor(rgb, cv2.COLOR_RGB2GRAY), cv2.CV_32F))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -24,6 +25,12 @@ def linear_to_srgb(linear: Floats) -> NDArray[Any]:
     """Linear light as sRGB in [0, 1] (IEC 61966-2-1); light beyond 1 is clipped as by a sensor."""
     light = np.clip(linear, 0, 1)
     return np.where(light <= 0.0031308, 12.92 * light, 1.055 * light ** (1 / 2.4) - 0.055)
+
+
+def cielab(display: Floats) -> NDArray[np.float64]:
+    """CIE Lab (..., 3) of sRGB (..., 3) in [0, 1], D65; single precision."""
+    flat = np.asarray(display, np.float32).reshape(1, -1, 3)
+    return np.asarray(cv2.cvtColor(flat, cv2.COLOR_RGB2LAB), np.float64).reshape(display.shape)
 
 
 def gamma_to_linear(display: Floats) -> NDArray[Any]:

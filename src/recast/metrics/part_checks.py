@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from recast.arrays import Array, Image, Mask
+from recast.geometry.colour import cielab
 from recast.metrics.actor_scores import ActorView, ScoredCutout
 
 Side = Literal["front", "left", "rear", "right"]
@@ -104,11 +105,6 @@ class PartCheck:
     side: Side
     passed: bool | None
     reason: str = ""
-
-
-def cielab(rgb: Array) -> Array:
-    """CIE Lab (..., 3) of display values (H, W, 3) in [0, 1], D65."""
-    return np.asarray(cv2.cvtColor(np.asarray(rgb, np.float32), cv2.COLOR_RGB2LAB), np.float64)
 
 
 def paint_colours(cutouts: Sequence[ScoredCutout]) -> Array:

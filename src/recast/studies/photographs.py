@@ -280,9 +280,13 @@ def _mean(views: Sequence[ViewResult]) -> dict[str, float]:
     """Means over views; `parts` where a check is decided. Empty without views."""
     if not views:
         return {}
+    return {**_parts(views), **mean_scores([view.scores for view in views])}
+
+
+def _parts(views: Sequence[ViewResult]) -> dict[str, float]:
+    """Share of the decided checks of all views that passed, in per cent; empty if none is."""
     passed, decided, _ = passed_share([check for view in views for check in view.checks])
-    parts = {"parts": 100.0 * passed / decided} if decided else {}
-    return {**parts, **mean_scores([view.scores for view in views])}
+    return {"parts": 100.0 * passed / decided} if decided else {}
 
 
 def _summary(
@@ -291,17 +295,11 @@ def _summary(
     means = []
     for views in ([v.views for v in vehicles], [_far(v.views) for v in vehicles]):
         # each vehicle counts the same, but a check is a check
-        each = [
-            {key: value for key, value in _mean(one).items() if key != "parts"}
-            for one in views
-            if one
-        ]
-        passed, decided, undecided = passed_share(
-            [c for one in views for v in one for c in v.checks]
-        )
-        parts = {"parts": 100.0 * passed / decided} if decided else {}
-        means.append(({**parts, **mean_scores(each)} if each else {}, undecided))
-    (mean, undecided), (far, _) = means
+        each = [mean_scores([view.scores for view in one]) for one in views if one]
+        parts = _parts([view for one in views for view in one])
+        means.append({**parts, **mean_scores(each)} if each else {})
+    mean, far = means
+    *_, undecided = passed_share([c for v in vehicles for view in v.views for c in view.checks])
     return PhotographScores(name, generator, tuple(vehicles), failures, mean, far, undecided)
 
 

@@ -14,7 +14,7 @@ from recast.actors.parametric.codec import VehicleLook
 from recast.actors.parametric.model import ParametricModel, parametric_model, predict_design
 from recast.actors.template.body import TemplateBody
 from recast.actors.template.cloud import SurfaceCloud, build_cloud
-from recast.actors.template.generator import _gaussians
+from recast.actors.template.generator import vehicle_gaussians
 from recast.actors.template.lighting import (
     Daylight,
     estimate_light,
@@ -25,10 +25,10 @@ from recast.actors.template.lighting import (
     shown_patches,
 )
 from recast.actors.template.proportions import TemplatePlacement
-from recast.actors.template.texture import TemplateTexture, view_surface
+from recast.actors.template.texture import view_surface
 from recast.arrays import Array
 from recast.geometry.colour import gamma_to_linear, linear_to_gamma
-from recast.splats import MIP, Gaussians
+from recast.splats import MIP
 
 _SAMPLES = 3
 _SPACING = 0.016
@@ -68,7 +68,9 @@ class ParametricGenerator(BaseGenerator):
         cloud = build_cloud(body, self.spacing, np.random.default_rng(seed))
         finish = measured_finish(cloud, observation) or told_finish(vehicle.look, observation)
         return Asset(
-            gaussians=built(body, cloud, finish),
+            gaussians=vehicle_gaussians(
+                body, cloud.dyed(finish.panes, finish.rims), finish.paint, finish.light
+            ),
             axes=VEHICLE,
             generator=self.name,
             seed=seed,
@@ -120,18 +122,3 @@ def measured_finish(cloud: SurfaceCloud, observation: Observation) -> VehicleFin
     light, paint = estimate_light(cloud, seen, observation)
     panes, rims = estimate_windows(cloud, seen, light), estimate_rims(cloud, seen, light)
     return VehicleFinish(paint, light, panes, rims)
-
-
-def built(body: TemplateBody, cloud: SurfaceCloud, finish: VehicleFinish) -> Gaussians:
-    """The vehicle as Gaussians in the actor frame, with no texture."""
-    inside, sky = finish.panes
-    factor = 1 - cloud.glass * (1 - inside) - cloud.rim * (1 - finish.rims)
-    gloss = cloud.gloss * (1 - cloud.glass * (1 - sky))
-    cloud = replace(cloud, albedo=cloud.albedo * factor[:, None], gloss=gloss)
-    count = len(cloud.points)
-    plain = TemplateTexture(
-        np.zeros((count, 3)), np.zeros(count), np.tile([1.0, 0.0, 0.0], (count, 1))
-    )
-    gaussians = _gaussians(body, cloud, finish.paint, plain, finish.light)
-    shift = gaussians.means.new_tensor([0.0, 0.0, -body.height / 2])
-    return replace(gaussians, means=gaussians.means + shift)

@@ -18,7 +18,7 @@ from recast.actors.observation import Observation
 from recast.actors.parametric.codec import DesignCodec, ParametricVehicle
 from recast.actors.parametric.condition import ConditionImages, condition_of
 from recast.actors.parametric.network import ParametricConfig, ParametricNetwork, Regressed
-from recast.actors.template.design import VehicleDesign, _ordered
+from recast.actors.template.design import VehicleDesign, ordered
 from recast.arrays import Array, Int64Array
 from recast.core.errors import InputError
 from recast.core.files import atomic_file
@@ -116,7 +116,7 @@ class ParametricModel:
         """The vehicle of numbers (N,) and indices of choices (M,), its landmarks in order."""
         vehicle = self.codec.decode(numbers, choices)
         assert isinstance(vehicle, ParametricVehicle)
-        return replace(vehicle, design=_below_lid(_ordered(vehicle.design)))
+        return replace(vehicle, design=_below_lid(ordered(vehicle.design)))
 
     @torch.no_grad()
     def predict(self, condition: ConditionImages) -> DesignPrediction:

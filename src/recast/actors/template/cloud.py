@@ -6,7 +6,7 @@ Few Gaussians where nothing changes, many where colours do.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
@@ -125,6 +125,13 @@ class SurfaceCloud:
     def painted(self, paint: Array) -> Array:
         """Albedo (N, 3) with the body paint, a linear reflectance (3,), filled in."""
         return self.albedo + self.paint[:, None] * paint
+
+    def dyed(self, panes: tuple[float, float], rims: float) -> SurfaceCloud:
+        """The cloud with factors on the diffuse and the mirrored light of windows, and on rims."""
+        inside, sky = panes
+        factor = 1 - self.glass * (1 - inside) - self.rim * (1 - rims)
+        gloss = self.gloss * (1 - self.glass * (1 - sky))
+        return replace(self, albedo=self.albedo * factor[:, None], gloss=gloss)
 
 
 def tangents(normals: Array) -> tuple[Array, Array]:

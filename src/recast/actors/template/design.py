@@ -336,13 +336,24 @@ def _read_limits(part: type) -> dict[str, tuple[float, float]]:
 
 _PARTS = (Proportions, FrontDesign, RearDesign, SideDesign, RimDesign)
 _LIMITS: dict[type, dict[str, tuple[float, float]]] = {part: _read_limits(part) for part in _PARTS}
-_OPTIONS: dict[tuple[type, str], tuple[Any, ...]] = {(part, name): get_args(hint) for part in _PARTS
-            for name, hint in get_type_hints(part).items()}  # fmt: skip
+_OPTIONS: dict[type, dict[str, tuple[Any, ...]]] = {
+    part: {
+        name: get_args(hint) or (False, True)
+        for name, hint in get_type_hints(part).items()
+        if name not in _LIMITS[part]
+    }
+    for part in _PARTS
+}
 
 
 def limits(part: type) -> dict[str, tuple[float, float]]:
     """Lower and upper limit of each number of a design's part, such as `FrontDesign`."""
     return _LIMITS[part]
+
+
+def options(part: type) -> dict[str, tuple[Any, ...]]:
+    """Values of each choice of a design's part."""
+    return _OPTIONS[part]
 
 
 def likely_design(style: str, size: ArrayLike) -> VehicleDesign:
@@ -372,15 +383,15 @@ def _design(style: str, size: Array, rng: np.random.Generator | None) -> Vehicle
         age *= 0.4
 
     def pick(part: type, name: str, weights: tuple[float, ...]) -> Any:
-        options = _OPTIONS[part, name]
-        eras = np.array([_ERAS.get(option, age) for option in options])
+        among = _OPTIONS[part][name]
+        eras = np.array([_ERAS.get(option, age) for option in among])
         shares = np.array(weights, np.float64) * np.exp(-(((eras - age) / 0.3) ** 2))
         best = (
             int(np.argmax(shares))
             if rng is None
-            else int(rng.choice(len(options), p=shares / shares.sum()))
+            else int(rng.choice(len(among), p=shares / shares.sum()))
         )
-        return options[best]
+        return among[best]
 
     def chance(probability: float) -> bool:
         return bool((0.5 if rng is None else rng.uniform()) < probability)
@@ -454,7 +465,7 @@ def _design(style: str, size: Array, rng: np.random.Generator | None) -> Vehicle
     radius = landmarks.wheel_radius * longer**0.5
     landmarks = replace(landmarks, wheel_radius=radius)
     parts = [_varied(part, rng) for part in (landmarks, front, rear, side, rim)]
-    return _ordered(VehicleDesign(*parts))
+    return ordered(VehicleDesign(*parts))
 
 
 # Standard deviations of sampled numbers; of the others, in shares of their range.
@@ -480,7 +491,7 @@ def _varied(part: Any, rng: np.random.Generator | None) -> Any:
     return replace(part, **changes)
 
 
-def _ordered(design: VehicleDesign) -> VehicleDesign:
+def ordered(design: VehicleDesign) -> VehicleDesign:
     """The design with its landmarks in order and its parts apart."""
     p, rear, side = design.proportions, design.rear, design.side
     tail_z = max(p.tail_z, p.deck_z + 0.01)

@@ -132,7 +132,6 @@ class TemplateGenerator(BaseGenerator):
         details counts these.
         """
         rng = np.random.default_rng(seed)
-        size = observation.size
         spacing = max(self.spacing, _SKETCH_SPACING)
         fits = _fits(observation, rng, self.style)
         close = _CLOSE if len(observation.points) < _SOLID_POINTS else 0.0
@@ -168,14 +167,11 @@ class TemplateGenerator(BaseGenerator):
             for view in views
         ]
         panes = estimate_windows(cloud, clear, light)
-        dyed = cloud.albedo * (1 - cloud.glass * (1 - panes[0]) - cloud.rim * (1 - rims))[:, None]
-        cloud = replace(cloud, albedo=dyed, gloss=cloud.gloss * (1 - cloud.glass * (1 - panes[1])))
-        gaussians = _gaussians(body, cloud, paint, mirrored_texture(cloud, seen), light)
-        shift = gaussians.means.new_tensor([0.0, 0.0, -size[2] / 2])
+        texture = mirrored_texture(cloud, seen)
         distance = fit.median_distance
         measured = {"median_lidar_distance_m": round(distance, 4)} if np.isfinite(distance) else {}
         return Asset(
-            gaussians=replace(gaussians, means=gaussians.means + shift),
+            gaussians=vehicle_gaussians(body, cloud.dyed(panes, rims), paint, light, texture),
             axes=VEHICLE,
             generator=self.name,
             seed=seed,
@@ -233,8 +229,7 @@ class PlacedTemplate:
 def _placed(
     observation: Observation, fit: ShapeFit, spacing: float, rng: np.random.Generator
 ) -> PlacedTemplate:
-    size = observation.size
-    body = TemplateBody(size, fit.design)
+    body = TemplateBody(observation.size, fit.design)
     sketch = build_cloud(body, spacing, rng)
     lidar = np.asarray(observation.points, np.float64)[:: max(1, len(observation.points) // 1200)]
     thin = np.unique(voxel_ids(sketch.points, 0.9 * spacing), return_index=True)[1]
@@ -252,16 +247,10 @@ def _placed(
         seen = [
             seen_patches(sketch, *each) for each in zip(views, evidence, placements, strict=True)
         ]
-        found = find_axles(TemplateBody(size, fit.design), observation, placements)
-        axles = replace(
-            body.design.proportions,
-            front_axle_x=found.proportions.front_axle_x,
-            rear_axle_x=found.proportions.rear_axle_x,
-        )
-        body = body.redesigned(replace(body.design, proportions=axles))
+        body = body.redesigned(find_axles(body, fit.design, observation, placements))
         body = fit_parts(body, seen, fit.design, steps)
         moved = [
-            settled(placement, patches, body, shown, silhouette.overlap_of)
+            settled(placement, patches, body, shown, silhouette)
             for placement, patches, shown, silhouette in zip(
                 placements, seen, evidence, silhouettes, strict=True
             )
@@ -311,14 +300,21 @@ def _fits(observation: Observation, rng: np.random.Generator, style: str | None)
     )
 
 
-def _gaussians(
+def vehicle_gaussians(
     body: TemplateBody,
     cloud: SurfaceCloud,
     paint: Array,
-    texture: TemplateTexture,
     light: Daylight = CLEAR_DAY,
+    texture: TemplateTexture | None = None,
 ) -> Gaussians:
-    """Merge the patches, bake light and photograph into harmonics, and back them with a shell."""
+    """The vehicle in the actor frame: merged patches with light and photographs, and a shell.
+
+    Args:
+        cloud: the patches of the body.
+        paint: (3,) linear reflectance.
+        texture: what photographs show; nothing if None.
+    """
+    texture = texture or TemplateTexture.nothing(len(cloud.points))
     albedo = cloud.painted(paint)
     weight = texture.weight[:, None]
     look = (1 - weight) * linear_to_gamma(light.level * albedo) + weight * texture.colour
@@ -328,7 +324,9 @@ def _gaussians(
     )
     sh = _harmonics(group, cloud, albedo, texture, light)
     outside = flat_gaussians(group, cloud.points, cloud.normals, cloud.spacing, sh, _OPACITY)
-    return concatenate([outside, _backing(body, cloud, sh[group])])
+    whole = concatenate([outside, _backing(body, cloud, sh[group])])
+    shift = whole.means.new_tensor([0.0, 0.0, -body.height / 2])
+    return replace(whole, means=whole.means + shift)
 
 
 def _backing(body: TemplateBody, cloud: SurfaceCloud, sh: Array) -> Gaussians:

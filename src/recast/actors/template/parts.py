@@ -7,25 +7,25 @@ of each part lie on pixels that look like it; and a photograph colours a patch o
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import cache
-from typing import Any, get_args, get_type_hints
+from typing import Any, get_type_hints
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from recast.actors.observation import Observation
 from recast.actors.place import minimum
-from recast.actors.template.body import TemplateBody
+from recast.actors.template.body import BodyPanels, TemplateBody
 from recast.actors.template.cloud import SurfaceCloud
-from recast.actors.template.design import VehicleDesign, in_order, limits
+from recast.actors.template.design import Proportions, VehicleDesign, in_order, limits, options
 from recast.actors.template.materials import PART_OF_MATERIAL, VehiclePart, label_body
-from recast.actors.template.proportions import TemplatePlacement
+from recast.actors.template.proportions import Silhouette, TemplatePlacement
 from recast.actors.template.texture import SurfaceView
 from recast.arrays import Array, Int64Array
 from recast.geometry import se3
+from recast.geometry.colour import cielab
 
 # Mean and deviation of each part's colour, CIE Lab; paint's mean is measured.
 _COLOURS: dict[VehiclePart, tuple[tuple[float, ...], tuple[float, ...]]] = {
@@ -37,14 +37,14 @@ _COLOURS: dict[VehiclePart, tuple[tuple[float, ...], tuple[float, ...]]] = {
     VehiclePart.PLATE: ((72, 0, 4), (16, 7, 14)),
 }
 _CHROMA = 0.25  # by which the deviation of a paint's chroma grows with its chroma: light and shade
-_FLOOR = -8.0  # a colour that no part has says nothing about parts
+# A colour that no part has says nothing about parts; the own part's floor is the lower one.
+_FLOOR, _OTHERS_FLOOR = -16.0, -14.0
 _OUTSIDE = -3.0  # log likelihood of a patch that lies beside the mask
 
 
 def to_lab(display: Array) -> Array:
-    """CIE Lab (..., 3) of display colours (..., 3) in [0, 1]."""
-    flat = np.clip(display, 0, 1).reshape(1, -1, 3).astype(np.float32)
-    return np.asarray(cv2.cvtColor(flat, cv2.COLOR_RGB2LAB), np.float64).reshape(display.shape)
+    """CIE Lab (..., 3) of display colours (..., 3), clipped to [0, 1]."""
+    return cielab(np.clip(display, 0, 1))
 
 
 def part_likelihoods(lab: Array, paint: Array) -> Array:
@@ -59,7 +59,7 @@ def part_likelihoods(lab: Array, paint: Array) -> Array:
         apart = (lab - mean) / deviation
         found.append(-0.5 * np.sum(apart**2, axis=-1) - np.sum(np.log(deviation), axis=-1))
     likelihoods = np.stack(found, axis=-1)
-    return np.maximum(likelihoods, _FLOOR - 8.0)
+    return np.maximum(likelihoods, _FLOOR)
 
 
 def accepted(
@@ -75,7 +75,7 @@ def accepted(
     likelihoods = part_likelihoods(to_lab(view.colour), to_lab(modelled))
     own = _own(likelihoods, part)
     np.put_along_axis(likelihoods, part[:, None], -np.inf, axis=1)
-    ahead = own - np.maximum(likelihoods.max(axis=1), _FLOOR - 6.0)
+    ahead = own - np.maximum(likelihoods.max(axis=1), _OTHERS_FLOOR)
     trust = np.clip((ahead + _TOLERANT) / _SOFT, 0.0, 1.0)
     return replace(view, weight=view.weight * np.where(strict, trust, 1.0))
 
@@ -152,12 +152,17 @@ def fit_parts(
         for name in ("points", "normals", "scores", "weight")
     )
     weight = weight * every
-    panels = body.panels(points)
+    shapes = {body.design.proportions: (body, body.panels(points))}
+
+    def shaped(shape: Proportions) -> tuple[TemplateBody, BodyPanels]:
+        if shape not in shapes:
+            other = body.redesigned(replace(body.design, proportions=shape))
+            shapes[shape] = other, other.panels(points)
+        return shapes[shape]
 
     def labelled(design: VehicleDesign) -> Int64Array:
-        other = body.redesigned(design)
-        same = other.design.proportions == body.design.proportions
-        return PART_OF_MATERIAL[label_body(other, points, normals, panels if same else None)]
+        other, panels = shaped(design.proportions)
+        return PART_OF_MATERIAL[label_body(other.redesigned(design), points, normals, panels)]
 
     def gain(design: VehicleDesign, part: Int64Array) -> float:
         return float(weight @ _own(scores, part)) - _cost(design, usual)
@@ -241,13 +246,11 @@ def knobs() -> tuple[DesignKnob, ...]:
     for group, kind in get_type_hints(VehicleDesign).items():
         if group == "rim":  # wheels are no part of the body
             continue
-        hints = get_type_hints(kind, include_extras=True)
-        limits_of = limits(kind)
+        ranges, choices = limits(kind), options(kind)
         for name in (field.name for field in fields(kind)):
-            if group == "proportions" and name not in _LANDMARKS:
-                continue
-            options = () if name in limits_of else get_args(hints[name]) or (False, True)
-            found.append(DesignKnob(group, (name,), limits_of.get(name), options))
+            if group != "proportions" or name in _LANDMARKS:
+                knob = DesignKnob(group, (name,), ranges.get(name), choices.get(name, ()))
+                found.append(knob)
     found += [DesignKnob(group, names, (0.0, 1.0)) for group, names in _TOGETHER]
     return tuple(found)
 
@@ -266,13 +269,13 @@ def settled(
     seen: SeenPatches,
     body: TemplateBody,
     evidence: PartEvidence,
-    overlap: Callable[[TemplatePlacement], float],
+    outline: Silhouette,
 ) -> SettledView:
     """The placement moved across its view, and turned, to where the parts are seen.
 
     Args:
         body: body on which the patches lie.
-        overlap: overlap of the placed model's silhouette with the mask.
+        outline: silhouette of the model against the view's mask.
     """
     across = evidence.observation.camera_from_object[:2, :3]
     part = PART_OF_MATERIAL[label_body(body, seen.points, seen.normals)]
@@ -286,10 +289,10 @@ def settled(
 
     def cost(x: Array) -> float:
         other = moved(x)
-        return OVERLAP_WEIGHT * (1 - overlap(other)) - fit(other) + 0.5 * float(x @ x)
+        return OVERLAP_WEIGHT * (1 - outline.overlap(other)) - fit(other) + 0.5 * float(x @ x)
 
     best = moved(minimum(cost, 3, 60, xatol=0.05, fatol=0.05))
-    return SettledView(replace(best, overlap=overlap(best)), fit(best))
+    return SettledView(outline.judged(best), fit(best))
 
 
 @dataclass(frozen=True)

@@ -218,7 +218,7 @@ class TemplatePlacement:
 
     stretch: Array  # (3,) along, across, up
     shift: Array  # (3,) metres
-    overlap: float  # intersection over union of the model's silhouette with the mask
+    overlap: float = 0.0  # intersection over union of the model's silhouette with the mask
     yaw: float = 0.0  # turn about the vertical after the stretch, radians
 
     def points(self, points: Array) -> Array:
@@ -258,7 +258,8 @@ def place(
 
     def cost(x: Array) -> float:
         stretch, shift = unpack(x)
-        missed = np.dot(shares, [1 - one.overlap(stretch, shift) for one in outlines])
+        placed = TemplatePlacement(stretch, shift)
+        missed = np.dot(shares, [1 - one.overlap(placed) for one in outlines])
         total = _OVERLAP_WEIGHT * float(missed) + 0.5 * float(x @ x)
         if len(lidar):
             distance = body.distance((lidar - shift) / stretch)
@@ -266,7 +267,7 @@ def place(
         return total
 
     stretch, shift = unpack(minimum(cost, 6, 400, **_TOLERANCES))
-    first = TemplatePlacement(stretch, shift, outlines[0].overlap(stretch, shift))
+    first = outlines[0].judged(TemplatePlacement(stretch, shift))
     return (first, *(one.placement(stretch, shift) for one in outlines[1:]))
 
 
@@ -283,12 +284,8 @@ class Silhouette:
         area = cv2.resize(mask.astype(np.float32), shape[::-1], interpolation=cv2.INTER_AREA)
         self._mask: Mask = area > 0.5
 
-    def overlap(self, stretch: Array, shift: Array) -> float:
+    def overlap(self, placement: TemplatePlacement) -> float:
         """Intersection over union of the placed model's silhouette with the mask."""
-        return self.overlap_of(TemplatePlacement(stretch, shift, 0.0))
-
-    def overlap_of(self, placement: TemplatePlacement) -> float:
-        """The same of a placement that may be turned."""
         placed = se3.apply(self._view.camera_from_object, placement.points(self._surface))
         pixels, _ = self._view.camera.project(placed)
         return overlap(silhouette(pixels / self._cell, self._mask.shape), self._mask)
@@ -299,10 +296,15 @@ class Silhouette:
 
         def cost(x: Array) -> float:
             moved = shift + _VIEW_SPREAD * x @ across
-            return _VIEW_OVERLAP_WEIGHT * (1 - self.overlap(stretch, moved)) + 0.5 * float(x @ x)
+            placed = TemplatePlacement(stretch, moved)
+            return _VIEW_OVERLAP_WEIGHT * (1 - self.overlap(placed)) + 0.5 * float(x @ x)
 
         shift = shift + _VIEW_SPREAD * minimum(cost, 2, 60, **_TOLERANCES) @ across
-        return TemplatePlacement(stretch, shift, self.overlap(stretch, shift))
+        return self.judged(TemplatePlacement(stretch, shift))
+
+    def judged(self, placement: TemplatePlacement) -> TemplatePlacement:
+        """The placement with its overlap."""
+        return replace(placement, overlap=self.overlap(placement))
 
 
 def silhouette(pixels: Array, shape: tuple[int, int]) -> Mask:
@@ -320,9 +322,12 @@ def overlap(first: Mask, second: Mask) -> float:
 
 
 def find_axles(
-    body: TemplateBody, observation: Observation, placements: Sequence[TemplatePlacement]
+    body: TemplateBody,
+    usual: VehicleDesign,
+    observation: Observation,
+    placements: Sequence[TemplatePlacement],
 ) -> VehicleDesign:
-    """The design with the axles where the photographs show wheels.
+    """The body's design with the axles where the photographs show wheels.
 
     A wheel is a bright rim in a dark tyre: the place along the side, within 0.07 lengths of the
     usual one, where rim and tyre differ most. A view counts the more, the more squarely it shows
@@ -331,13 +336,13 @@ def find_axles(
     """
     found: dict[str, Any] = {}
     for name in ("front_axle_x", "rear_axle_x"):
-        usual = getattr(body.design.proportions, name)
+        expected = getattr(usual.proportions, name)
         seen = [
-            _clearest(body, view, placement, usual)
+            _clearest(body, view, placement, expected)
             for view, placement in zip(observation.views, placements, strict=True)
         ]
         contrast, place = max(seen)
-        found[name] = place if contrast > _CLEAR_WHEEL else usual
+        found[name] = place if contrast > _CLEAR_WHEEL else expected
     return replace(body.design, proportions=replace(body.design.proportions, **found))
 
 

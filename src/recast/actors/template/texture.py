@@ -175,6 +175,12 @@ class TemplateTexture:
     weight: Array  # (N,) how far `colour` replaces the model's own
     views: Array  # (N, 3) unit directions to the camera that saw `colour`, mirrored with it
 
+    @staticmethod
+    def nothing(count: int) -> TemplateTexture:
+        """That of a vehicle that no photograph shows."""
+        ahead = np.tile([1.0, 0.0, 0.0], (count, 1))
+        return TemplateTexture(np.zeros((count, 3)), np.zeros(count), ahead)
+
 
 def mirrored_texture(cloud: SurfaceCloud, seen: SurfaceView) -> TemplateTexture:
     """Fill what the view did not see from its mirror image; wheels and recesses keep the model's.
