@@ -158,6 +158,34 @@ def test_nothing_drawn_fails_and_a_red_car_does_not_decide_its_lamps() -> None:
     assert checks(red, red)["tail lamps"].passed is None
 
 
+def test_panes_of_coloured_paint_are_neither_its_highlights_nor_full_of_holes() -> None:
+    def red(glare: Array) -> Car:
+        car = side()
+        car.rgb[np.abs(car.rgb - PAINT).sum(axis=-1) < 0.01] = np.array([0.45, 0.12, 0.10])
+        car.rectangle(-2.0, 0.78, 2.0, 0.9, glare)
+        car.rectangle(-0.4, 1.05, -0.1, 1.25, np.array([0.45, 0.12, 0.10]))  # mirrored in a pane
+        return car
+
+    lit, plain = red(np.array([0.80, 0.24, 0.20])), red(np.array([0.45, 0.12, 0.10]))
+    assert checks(lit, plain)["windows"].passed
+    paint = paint_colours([lit.cutout])[0]
+    picture = side_picture(lit.cutout, lit.view, SIZE, "left", paint)
+    assert picture is not None
+    up = picture.low[1] + (picture.mask.shape[0] - np.arange(picture.mask.shape[0])) / 80
+    panes = picture.panes()
+    assert not panes[up < 0.88].any()
+    row = panes[np.argmin(np.abs(up - 1.15))]
+    columns = np.flatnonzero(row)
+    assert row[columns[0] : columns[-1]].all()
+
+
+def test_paint_is_that_of_the_panels_where_a_pane_fills_the_picture() -> None:
+    glass = front()
+    glass.rectangle(-0.7, 0.72, 0.7, 1.38, np.array([0.33, 0.34, 0.36]))
+    colours = paint_colours([glass.cutout, side().cutout, side().cutout])
+    assert np.abs(np.ptp(colours[:, 0])) < 3.0
+
+
 def test_wheels_are_found_in_metres() -> None:
     car = side()
     picture = side_picture(car.cutout, car.view, SIZE, "left", paint_colours([car.cutout])[0])

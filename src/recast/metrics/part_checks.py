@@ -12,7 +12,7 @@ world (seeds from 40 on); no constant was chosen on another real car.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import cv2
@@ -31,6 +31,8 @@ STEEPEST_DEG = 62.0
 
 _AZIMUTHS: dict[Side, float] = {"front": 0.0, "left": 90.0, "rear": 180.0, "right": 270.0}
 _INSET = 0.06  # metres from the side of the box to the plane: panels and wheels lie within
+# Share of the length from the side of the box to the plane where its pane is looked at.
+_PANE_BEHIND: dict[Side, float] = {"front": 0.27, "rear": 0.10}
 _MARGIN = 0.10  # metres around the side of the box
 _ROUND = 0.35  # metres more beside its ends, whose corners are round and are seen beside the plane
 _LIGHT_RANGE, _HUE_RANGE = 40.0, 14.0  # CIE L, and a or b, between pictures of one paint
@@ -91,6 +93,22 @@ class SidePicture:
         apart = np.linalg.norm(self.lab - self.paint, axis=-1) > _UNLIKE_PAINT
         return opened(apart & self.mask, 0.02)
 
+    def panes(self) -> Mask:
+        """(H, W) pixels of panes: what does not have the paint's colour in the upper half.
+
+        Coloured paint is paint in every light; a pane's mirror images of sky and paint, which the
+        rest of it surrounds, are the pane's.
+        """
+        lightness, hue = self.paint[0], self.paint[1:]
+        lit = (self.lab[..., :1] + 16.0) / (lightness + 16.0)  # CIE Lab of k times the light
+        apart = np.linalg.norm(self.lab[..., 1:] - lit * hue, axis=-1)
+        coloured = min(float(np.hypot(*hue)) / _UNLIKE_PAINT, 1.0)
+        light = np.abs(self.lab[..., 0] - lightness) * (1.0 - coloured)
+        unlike = (np.hypot(apart, light) > _UNLIKE_PAINT * (1.0 - 0.4 * coloured)) & self.mask
+        found = opened(unlike & self.rows(0.52, 0.95), 0.06).astype(np.uint8)
+        outlines, _ = cv2.findContours(found, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
+        return cv2.drawContours(found, outlines, -1, 1, cv2.FILLED) > 0
+
 
 @dataclass(frozen=True)
 class PartCheck:
@@ -128,15 +146,16 @@ def _densest(cutout: ScoredCutout, about: Array | None) -> Array:
     body[: round(top + 0.25 * tall)] = False
     body[round(top + 0.80 * tall) :] = False
     lab = cielab(cutout.rgb)
-    colours = lab[body]
+    colours, trust = lab[body], np.ones(int(body.sum()))
     if about is not None:
         apart = np.abs(colours - about)
-        colours = colours[(apart[:, 0] < _LIGHT_RANGE) & (apart[:, 1:].max(axis=1) < _HUE_RANGE)]
+        near = (apart[:, 0] < _LIGHT_RANGE) & (apart[:, 1:].max(axis=1) < _HUE_RANGE)
+        colours, trust = colours[near], 1.0 - apart[near, 0] / _LIGHT_RANGE
     if len(colours) < 20:
         return np.asarray(np.median(lab[cutout.mask], axis=0) if about is None else about)
-    unique, index, counts = np.unique(
-        np.round(colours / 6.0).astype(int), axis=0, return_inverse=True, return_counts=True
-    )
+    cells = np.round(colours / 6.0).astype(int)
+    unique, index = np.unique(cells, axis=0, return_inverse=True)
+    counts = np.bincount(index.ravel(), trust)
     # neighbours count too, over a wide range of light: panels are shaded, trim and plates are flat
     apart = np.abs(unique[:, None] - unique[None])
     near = (apart[..., 0] <= _SHADES) & (apart[..., 1:].max(axis=2) <= 1)
@@ -147,13 +166,19 @@ def _densest(cutout: ScoredCutout, about: Array | None) -> Array:
 
 
 def side_picture(
-    cutout: ScoredCutout, view: ActorView, size: ArrayLike, side: Side, paint: Array
+    cutout: ScoredCutout,
+    view: ActorView,
+    size: ArrayLike,
+    side: Side,
+    paint: Array,
+    inset: float = _INSET,
 ) -> SidePicture | None:
     """A side of the box in metres; None where the camera hardly sees it.
 
     Args:
         size: (3,) length, width, height of the box, metres.
         paint: (3,) CIE Lab of the cutout's paint.
+        inset: metres from the side to the plane that is looked at, which lies within the box.
     """
     length, width, height = np.asarray(size, float)
     azimuth = np.radians(_AZIMUTHS[side])
@@ -161,7 +186,7 @@ def side_picture(
     right = np.array([-normal[1], normal[0], 0.0])
     half, depth = (width, length) if normal[0] else (length, width)
     eye = -view.camera_from_actor[:3, :3].T @ view.camera_from_actor[:3, 3]
-    middle = (depth / 2 - _INSET) * normal
+    middle = (depth / 2 - inset) * normal
     towards = eye - middle
     if towards @ normal < np.cos(np.radians(STEEPEST_DEG)) * np.linalg.norm(towards[:2]):
         return None
@@ -202,19 +227,38 @@ def part_checks(
     """
     checks = []
     for side in _AZIMUTHS:
-        drawn_side = side_picture(shown, view, size, side, paints[0])
-        real_side = side_picture(truth, view, size, side, paints[1])
-        if real_side is None:
+        pictures = _both(shown, truth, view, size, side, paints, _INSET)
+        if pictures is None:
             continue
-        if drawn_side is None:  # nothing is drawn there
-            drawn_side = SidePicture(
-                side, np.zeros_like(real_side.lab), np.zeros_like(real_side.mask), real_side.low,
-                real_side.height, real_side.width, paints[0],
-            )  # fmt: skip
         ends = {"front": (_head_lamps, _plate), "rear": (_tail_lamps, _plate)}
-        for check in (_windows, *ends.get(side, (_wheels,))):
-            checks.append(check(drawn_side, real_side))
+        for check in ends.get(side, (_windows, _wheels)):
+            checks.append(check(*pictures))
+        behind = _PANE_BEHIND.get(side, 0.0) * float(np.asarray(size)[0])
+        if behind:  # a windscreen stands far behind the plane of lamps and plate
+            pictures = _both(shown, truth, view, size, side, paints, behind)
+            if pictures is not None:
+                checks.append(_windows(*pictures))
     return checks
+
+
+def _both(
+    shown: ScoredCutout,
+    truth: ScoredCutout,
+    view: ActorView,
+    size: ArrayLike,
+    side: Side,
+    paints: tuple[Array, Array],
+    inset: float,
+) -> tuple[SidePicture, SidePicture] | None:
+    """A side in the render and in the photograph; None where the photograph hardly shows it."""
+    drawn, real = (
+        side_picture(one, view, size, side, paint, inset)
+        for one, paint in zip((shown, truth), paints, strict=True)
+    )
+    if real is None or drawn is not None:
+        return None if real is None or drawn is None else (drawn, real)
+    nothing = np.zeros_like(real.mask)  # nothing is drawn there
+    return replace(real, lab=np.zeros_like(real.lab), mask=nothing, paint=paints[0]), real
 
 
 def passed_share(checks: Sequence[PartCheck]) -> tuple[int, int, int]:
@@ -262,8 +306,7 @@ def _smeared(shown: SidePicture, real: SidePicture, area: Mask) -> str:
 
 
 def _windows(shown: SidePicture, real: SidePicture) -> PartCheck:
-    """Panes are what differs from the paint in the upper half."""
-    panes = [opened(one.unlike_paint() & one.rows(0.52, 0.95), 0.06) for one in (shown, real)]
+    panes = [one.panes() for one in (shown, real)]
     room = (real.mask & real.rows(0.52, 0.95)).sum()
     part = "windows"
     if room == 0 or panes[1].sum() < 0.2 * room:

@@ -205,7 +205,9 @@ def estimate_light(
     level = max(level, float(radiance.mean()) / _WHITEST)
     total = float(clear + cloudy)
     mirror = float(np.clip(total, _LEAST_MIRROR * level, 2 * level))
-    light = Daylight(level, mirror, float(cloudy) / total if total > 0 else 0.5, tint, contrast)
+    # mirrored light that nothing on the vehicle showed is grey: a blue pane would be invented
+    clouds = float(np.clip(1.0 - clear / mirror, 0.0, 1.0))
+    light = Daylight(level, mirror, clouds, tint, contrast)
     return light, np.clip(radiance / level, _BLACKEST, 0.9)
 
 
