@@ -159,7 +159,7 @@ def _metrics(out: Path, means: Mapping[str, float | None]) -> None:
         "error": "ValueError",
         "reason": "no road",
     }
-    record = {"version": 3, "table": [row], "rollouts": [], "failures": [failure]}
+    record = {"version": 4, "table": [row], "rollouts": [], "failures": [failure]}
     files.write_json(out / "metrics.json", record)
 
 

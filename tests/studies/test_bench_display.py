@@ -75,6 +75,14 @@ def test_the_table_says_what_was_scored_failed_and_cut() -> None:
     assert "11/11" in lines[oracle + 1].split()  # of 12: one has no map
 
 
+def test_collisions_that_the_ego_is_to_blame_for_stand_below_nc() -> None:
+    rows = [row(n, "native", float(n > 3), nc_at_fault=float(n > 0)) for n in range(12)]
+    lines = shown(grid_table(arm_summaries(rows, 100, 0), "a title"))
+    first = line_of(lines, "native")
+    assert "8/12" in lines[first + 1].split()
+    assert "1 at fault" in lines[first + 3]
+
+
 def test_differences_and_verdicts_say_how_many_pairs_and_plans() -> None:
     lines = shown(differences_table(paired_summaries(grid(), "native", 100, 0)))
     at = line_of(lines, "replaced", "NC")

@@ -147,6 +147,47 @@ class EvalActor:
 
 
 @dataclass(frozen=True)
+class EvalPlanner:
+    """Let a planner plan on the recorded images of drives and compare its plans with what was
+    driven."""
+
+    planner: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="PLANNER")]
+    """Planner: as for `recast run --planner`."""
+    log: Annotated[tyro.conf.Positional[tuple[Path, ...]], tyro.conf.arg(metavar="LOG...")]
+    """Log folders."""
+    out: Path
+    """New folder for metrics.json and worst.png, the ten moments furthest from what was driven."""
+    every: float = 0.5
+    """Seconds between the moments of a drive."""
+    seed: Annotated[int, shared.SEED] = 0
+    planner_device: Annotated[str | None, shared.PLANNER_DEVICE] = None
+    json: Annotated[bool, JSON] = False
+
+    def __call__(self) -> None:
+        from recast.core.diagnostics import ProgressBar
+        from recast.core.errors import require_range
+        from recast.logs import read_log
+        from recast.planning import make_planner
+        from recast.studies.planner_driving import driving_table, evaluate_planner
+
+        require_range(0.1, every=self.every)
+        planner = make_planner(self.planner, self.planner_device or "auto")
+        logs = [read_log(path) for path in self.log]
+        console = console_for(self.json)
+        with ProgressBar("drives", console) as progress:
+            found = evaluate_planner(
+                planner, logs, self.out, every=self.every, seed=self.seed, progress=progress
+            )
+        console.print(f"wrote {self.out}", markup=False)
+        if self.json:
+            from recast.cli.rows.results import driving_rows
+
+            print_json(driving_rows(found))
+            return
+        console.print(driving_table(found))
+
+
+@dataclass(frozen=True)
 class EvalGeneration:
     """Compare models that make vehicles from one image, on clean and perturbed images."""
 
@@ -292,10 +333,12 @@ def _perturbations(what: str | None) -> PerturbationConfig | None:
 
 Eval = shared.group(
     "eval",
-    "Evaluate generators of vehicles on held-out images; recast-bridges scores rollouts.",
+    "Evaluate generators of vehicles and planners on recorded images; recast-bridges scores "
+    "rollouts.",
     {
         "photographs": EvalPhotographs,
         "actor": EvalActor,
+        "planner": EvalPlanner,
         "generation": EvalGeneration,
         "inputs": EvalInputs,
     },

@@ -28,6 +28,10 @@ CAP = 4.0
 40 waypoints 0.1 s apart."""
 
 
+_STANDING = 0.05
+"""m/s up to which a road user stands, as nuPlan has it."""
+_BEHIND = np.radians(150.0)
+"""Bearing off the ego's heading beyond which what it meets is behind it, as nuPlan has it."""
 _SLIP = np.pi / 6
 """Radians between motion and heading beyond which the heading says nothing of the motion."""
 
@@ -84,6 +88,35 @@ def any_collision(collisions: Sequence[Collision]) -> Collision:
     first = min(hit, key=lambda one: one.first_step or 0) if hit else collisions[0]
     overlap: Array = np.max([one.overlap for one in collisions], axis=0)
     return Collision(first.nc, overlap, first.first_step)
+
+
+def no_collision_at_fault(
+    collisions: Sequence[Collision], ego_states: ArrayLike, actors: Sequence[ArrayLike]
+) -> Metric:
+    """NC at fault: 0 iff the ego, in motion, meets an actor that is not behind it, else 1.
+
+    The first state of each contact decides. Into something standing the ego is at fault wherever
+    it hits it. Not at fault: standing oneself, or hit from behind. Contact from the side counts,
+    as in AlpaSim; nuPlan asks besides whether the ego was across lanes.
+
+    Args:
+        collisions: those with each actor.
+        ego_states: (S+1, 11) states of the ego.
+        actors: (S+1, >=4) x, y, heading of the box centre, speed, of each actor.
+    """
+    ego_states, told = np.asarray(ego_states, np.float64), []
+    for one, actor in zip(collisions, actors, strict=True):
+        if one.first_step is None:
+            continue
+        now, other = ego_states[one.first_step], np.asarray(actor, np.float64)[one.first_step]
+        ahead = np.arctan2(other[1] - now[ego.Y], other[0] - now[ego.X]) - now[ego.HEADING]
+        if np.hypot(now[ego.VX], now[ego.VY]) <= _STANDING:
+            told.append("not at fault: the ego stands")
+        elif other[3] > _STANDING and np.abs(se2.wrap_angle(ahead)) > _BEHIND:
+            told.append("not at fault: it is hit from behind")
+        else:
+            return Metric(0.0, one.nc.reason)
+    return Metric(1.0, "; ".join(dict.fromkeys(told)) or None)
 
 
 @dataclass(frozen=True)

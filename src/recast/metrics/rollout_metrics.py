@@ -27,6 +27,7 @@ from recast.metrics.driving import (
     drivable_area_compliance,
     least_time,
     no_collision,
+    no_collision_at_fault,
     realised_future,
     route_completion,
     time_to_collision,
@@ -55,6 +56,7 @@ class RolloutMetrics:
         collision, drivable, ttc, ttc_constant_velocity, progress: values with their arrays; over
             all controlled actors.
         collisions: NC with each controlled actor, by track id, the target first.
+        nc_at_fault: NC over the contacts that the ego is to blame for.
         comfort, comfort_4_13, comfort_nuplan_savgol: three readings of COM; the first is the
             headline.
         driven: nuPlan's comfort of what was driven.
@@ -75,6 +77,7 @@ class RolloutMetrics:
     map_derived: bool | None
     collision: Collision
     collisions: Mapping[str, Collision]
+    nc_at_fault: Metric
     drivable: DrivableArea
     ttc: TimeToCollision
     ttc_constant_velocity: TimeToCollision
@@ -116,6 +119,7 @@ class RolloutMetrics:
         """Every metric by name; the names are the keys of `recast.metrics.table.COLUMNS`."""
         return {
             "nc": self.collision.nc,
+            "nc_at_fault": self.nc_at_fault,
             "dac": self.drivable.dac,
             "ttc": self.ttc.ttc,
             "r_c": self.progress.r_c,
@@ -201,6 +205,9 @@ def rollout_metrics(rollout: Rollout, hd_map: HdMap | None) -> RolloutMetrics:
         map_derived=None if hd_map is None else hd_map.derived,
         collision=collision,
         collisions=collisions,
+        nc_at_fault=no_collision_at_fault(
+            list(collisions.values()), rollout.ego, [actor.states for actor in actors]
+        ),
         drivable=drivable_area_compliance(ego_boxes, rollout.ego_size, drivable_region(hd_map), dt),
         ttc=ttc(realised_future),
         ttc_constant_velocity=ttc(constant_velocity_future),

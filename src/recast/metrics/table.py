@@ -87,6 +87,7 @@ class Column:
 
 COLUMNS: Mapping[str, Column] = {
     "nc": Column("NC", "%", 100.0, True, passes=True),
+    "nc_at_fault": Column("NC at fault", "%", 100.0, False, passes=True),
     "dac": Column("DAC", "%", 100.0, True, passes=True),
     "ttc": Column("TTC", "s", 1.0, True),
     "r_c": Column("R_c", "%", 100.0, True),

@@ -15,6 +15,8 @@ Tone = Literal["good", "bad", "warn", "plain"]
 DEFINITIONS: Mapping[str, str] = {
     "nc": "No collision: the ego's box never overlaps the actor's logged box, seen from above. "
     "Who is at fault does not matter.",
+    "nc_at_fault": "No collision at fault: as no collision, but contacts while the ego stands, and "
+    "those from behind, do not count.",
     "dac": "Drivable-area compliance: all four corners of the ego's box stay on the map's drivable "
     "area, with a tolerance of 0.3 m, in every state.",
     "ttc": "Time to collision: time until a plan, if followed, hits the actor on the actor's real "

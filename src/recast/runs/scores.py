@@ -104,7 +104,7 @@ def scored_rollouts(
     return found
 
 
-METRICS_VERSION: Literal[3] = 3
+METRICS_VERSION: Literal[4] = 4
 
 
 def write_metrics(

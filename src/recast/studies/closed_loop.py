@@ -238,6 +238,7 @@ def _print(results: GridResults, settings: BenchSettings, console: Console) -> N
         console.print(f"and {more} more reasons in {RESULTS_FILE}", markup=False, style="red")
 
 
+_BLAME = "nc_at_fault"
 _HEADLINE = {name: column for name, column in COLUMNS.items() if column.headline}
 _DIGITS = {"s": 2, "%": 1}
 
@@ -351,7 +352,8 @@ def grid_table(lines: Sequence[ArmSummary], title: str) -> Table:
     """A line for each arm: means with their intervals over scenes.
 
     Below the names stands how many rollouts were scored, of how many. A metric that not every one
-    of them has says over how many it is.
+    of them has says over how many it is. Below NC stands how many collisions the ego is to blame
+    for.
     """
     table = narrow_table(title, ["arm"], [column.heading for column in _HEADLINE.values()])
     for line in lines:
@@ -415,6 +417,9 @@ def _mean(line: ArmSummary, name: str) -> str:
     count = line.row.counts[name]
     if COLUMNS[name].passes:
         shown.insert(1, f"{round(mean * count / 100)}/{count}")
+        blame = line.row.means.get(_BLAME) if name == "nc" else None
+        if blame is not None and mean < 100.0:
+            shown.append(f"{round((1.0 - blame / 100.0) * count)} at fault")
     elif count < line.row.rollouts:
         shown.insert(1, f"of {count}")
     return "\n".join(shown)

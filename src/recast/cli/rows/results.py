@@ -24,6 +24,7 @@ from recast.studies.actors import TrackResult
 from recast.studies.closed_loop import GridResults
 from recast.studies.generation.report import STUDY_COLUMNS, StudyBlock
 from recast.studies.photographs import PHOTOGRAPH_COLUMNS, PhotographEvaluation
+from recast.studies.planner_driving import PlannerDriving
 from recast.studies.verdicts import PartLoss, VerdictCounts
 from recast.trellis.checkpoints import ModelCheck
 
@@ -258,6 +259,29 @@ def photograph_rows(evaluation: PhotographEvaluation) -> Rows:
             for name, why in one.failures.items()
         ]
     return {"vehicles": vehicles, "mean": means, "failures": failures}
+
+
+def driving_rows(found: PlannerDriving) -> Rows:
+    """Scores of each kind of moment; shares in per cent."""
+    rows = []
+    for one in found.scores:
+        shares = {
+            "stops_alone": one.stops_alone,
+            "goes_alone": one.goes_alone,
+            "leaves": one.leaves,
+            **{f"moved_by_{name.replace(' ', '_')}": share for name, share in one.moved.items()},
+        }
+        rows.append(
+            {
+                "planner": found.planner,
+                "kind": one.kind,
+                "moments": one.moments,
+                "ade_m": one.ade,
+                "fde_m": one.fde,
+                **{f"{k}_percent": None if v is None else 100 * v for k, v in shares.items()},
+            }
+        )
+    return {"scores": rows}
 
 
 def track_rows(results: Sequence[TrackResult]) -> Rows:
