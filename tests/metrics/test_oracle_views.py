@@ -5,6 +5,7 @@ import json
 from dataclasses import replace
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 from hypothesis import given
@@ -144,12 +145,29 @@ def test_impossible_settings_are_refused(settings: ViewSettings) -> None:
         place_views(LOG, LOG.tracks["7"], MOUNTS, settings)
 
 
+def test_sharpness_is_that_of_the_vehicle_alone() -> None:
+    rng = np.random.default_rng(2)
+    truth = rng.integers(0, 255, (120, 160, 3), dtype=np.uint8)
+    vehicle = np.zeros((400, 500), bool)
+    vehicle[130:190, 230:330] = True  # rows 30 to 90, columns 30 to 130 of the window
+    smooth = cv2.GaussianBlur(truth, (0, 0), 6.0)
+    beside = truth.copy()
+    beside[~vehicle[100:220, 200:360]] = 128
+
+    def sharp(image: np.ndarray) -> float:
+        return agreement(image, truth, (30, 30, 130, 90), vehicle, vehicle, (200, 100)).sharpness
+
+    assert sharp(truth) == 1.0
+    assert sharp(smooth.astype(np.uint8)) < 0.1
+    assert sharp(beside) == pytest.approx(1.0, abs=0.02)
+
+
 def test_ssim_of_a_rectangle_smaller_than_its_window() -> None:
     rng = np.random.default_rng(1)
     truth = rng.integers(0, 255, (30, 40, 3), dtype=np.uint8)
     empty = np.zeros((30, 40), bool)
     same = agreement(truth, truth, (10, 10, 13, 12), empty, empty)
-    assert same == Agreement(100.0, pytest.approx(1.0), 1.0)
+    assert same == Agreement(100.0, pytest.approx(1.0), 1.0, 0.0)  # no vehicle, so none is sharp
     elsewhere = truth.copy()
     elsewhere[:, :3] = 0  # outside the rectangle, further than a window reaches
     assert agreement(elsewhere, truth, (20, 10, 23, 12), empty, empty) == same
@@ -283,8 +301,8 @@ def test_means_by_angle_and_pairs_by_hand() -> None:
     class View:
         def __init__(self, heading: float, angle: float, native: float, replaced: float) -> None:
             self.heading, self.angle = heading, angle
-            self.baseline = Agreement(native, native / 100, native / 50)
-            self.candidate = Agreement(replaced, replaced / 100, replaced / 50)
+            self.baseline = Agreement(native, native / 100, native / 50, native / 40)
+            self.candidate = Agreement(replaced, replaced / 100, replaced / 50, replaced / 40)
 
     views = [
         View(0.1, 10, 30, 28),

@@ -37,8 +37,8 @@ def made_up_views() -> OracleViews:
     """Ten views; the replaced actor is nearer to the truth beyond 60 degrees only."""
     views = []
     for index, angle in enumerate(np.linspace(5.0, 170.0, 10)):
-        native = Agreement(28.0 - angle / 10, 0.9 - angle / 400, 0.95 - angle / 300)
-        replaced = Agreement(24.0, 0.8, 0.8)
+        native = Agreement(28.0 - angle / 10, 0.9 - angle / 400, 0.95 - angle / 300, 0.5)
+        replaced = Agreement(24.0, 0.8, 0.8, 0.6)
         views.append(
             OracleView(
                 index,
@@ -128,8 +128,8 @@ def test_the_section_tells_who_wins_at_which_angle(run: ReportInputs, report: Pa
         "all views",
     ]
     near, *_, beyond, _ = shown.lines
-    assert [cell.tone for cell in near.cells] == ["good", "plain"] * 3
-    assert [cell.tone for cell in beyond.cells] == ["plain", "good"] * 3
+    assert [cell.tone for cell in near.cells] == ["good", "plain"] * 3 + ["plain", "good"]
+    assert [cell.tone for cell in beyond.cells] == ["plain", "good"] * 4
     assert "better in 7 of 7" in (beyond.cells[5].note or "") and beyond.total
     assert [caption.split("°")[0] for caption, _ in shown.pictures][:2] == ["170", "152"]
     assert len(shown.pictures) == 10

@@ -17,11 +17,12 @@ from recast.arrays import Array, Image, Mask
 from recast.cameras import PinholeCamera, box_rectangle
 from recast.core.records import Record, read_record
 from recast.metrics.table import Bootstrap, cluster_bootstrap
+from recast.metrics.vehicle_looks import fine_energy_share
 from recast.reconstruction.scores import Rectangle, capped_psnr, ssim_map
 from recast.scene import SceneActor
 
-VERSION: Literal[2] = 2
-"""1 called the sides native and replaced."""
+VERSION: Literal[3] = 3
+"""1 called the sides native and replaced; 2 had no sharpness."""
 RECORD_FILE = "oracle_views.json"
 
 
@@ -33,11 +34,14 @@ class Agreement:
         psnr: dB inside the rectangle, at most 100.
         ssim: mean over the rectangle.
         mask_iou: intersection over union of the vehicle's outlines, over the whole image.
+        sharpness: share of the truth's high-frequency energy where both show the vehicle, see
+            `recast.metrics.vehicle_looks.fine_energy_share`.
     """
 
     psnr: float
     ssim: float
     mask_iou: float
+    sharpness: float
 
 
 def box_pixels(
@@ -69,7 +73,12 @@ def grown(rectangle: Rectangle, margin: int, width: int, height: int) -> Rectang
 
 
 def agreement(
-    image: Image, truth: Image, rectangle: Rectangle, mask: Mask, true_mask: Mask
+    image: Image,
+    truth: Image,
+    rectangle: Rectangle,
+    mask: Mask,
+    true_mask: Mask,
+    corner: tuple[int, int] = (0, 0),
 ) -> Agreement:
     """Score one view.
 
@@ -79,7 +88,8 @@ def agreement(
     Args:
         image, truth: (H, W, 3) uint8, the rectangle and what surrounds it.
         rectangle: rectangle in pixels of these images.
-        mask, true_mask: bool of one shape, of any extent that holds both outlines.
+        mask, true_mask: bool of the whole image.
+        corner: column and row of the images' first pixel in the masks.
 
     Raises:
         ValueError: the rectangle holds no pixel.
@@ -88,12 +98,14 @@ def agreement(
     if left >= right or top >= bottom:
         raise ValueError(f"agreement: the rectangle {rectangle} is empty")
     inside = (slice(top, bottom), slice(left, right))
+    columns, rows = (slice(at, at + n) for at, n in zip(corner, image.shape[1::-1], strict=True))
     drawn, wanted = image.astype(np.float64) / 255, truth.astype(np.float64) / 255
     similarity = ssim_map(torch.from_numpy(drawn), torch.from_numpy(wanted)).numpy()
     return Agreement(
         psnr=capped_psnr(drawn[inside], wanted[inside]),
         ssim=float(similarity[inside].mean()),
         mask_iou=mask_iou(mask, true_mask),
+        sharpness=fine_energy_share(drawn, wanted, (mask & true_mask)[rows, columns]),
     )
 
 
@@ -113,7 +125,7 @@ def actor_mask(
     return alone.alpha.numpy() > 0.5
 
 
-MEASURES = ("psnr", "ssim", "mask_iou")
+MEASURES = ("psnr", "ssim", "mask_iou", "sharpness")
 """Fields of `Agreement`; higher is better for all."""
 
 EDGES = ((0.0, 30.0), (30.0, 60.0), (60.0, 90.0), (90.0, 180.0), (60.0, 180.0), (0.0, 180.0))
@@ -252,7 +264,7 @@ class OracleViews:
 
 class _Record(Record):
     format: Literal["recast-oracle-views"]
-    version: Literal[2]
+    version: Literal[3]
     track_id: str
     logged: int
     views: tuple[OracleView, ...]

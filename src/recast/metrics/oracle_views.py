@@ -323,7 +323,7 @@ class Painter:
         for arm, actor in self._actors.items():
             image = self._drawn(arm, camera, view)[window]
             mask = actor_mask(actor, camera, camera_from_world, view.world_from_actor)
-            scores[arm] = agreement(image, truth.rgb, inner, mask, true_mask)
+            scores[arm] = agreement(image, truth.rgb, inner, mask, true_mask, (left, top))
             pictures.append(image)
         gap = np.full((bottom - top, _GAP, 3), 255, np.uint8)
         return scores, np.concatenate([pictures[0], gap, pictures[1], gap, truth.rgb], axis=1)

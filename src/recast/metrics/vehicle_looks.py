@@ -6,12 +6,16 @@ changes where PSNR and SSIM hardly do.
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import cv2
 import numpy as np
 
 from recast.arrays import Array, Mask
 from recast.geometry.colour import cielab, linear_to_srgb, srgb_to_linear
-from recast.metrics.actor_scores import ScoredCutout
+
+if TYPE_CHECKING:
+    from recast.metrics.actor_scores import ScoredCutout
 
 _FINE, _COARSE = 0.004, 0.016  # of the vehicle's longer side: what lies between is sharpness
 _EDGE = 0.02  # share of it beside the outline that does not count

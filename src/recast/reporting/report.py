@@ -286,6 +286,7 @@ _MEASURES: Mapping[str, tuple[str, int, str]] = {
     "psnr": ("PSNR", 1, "\u00a0dB"),
     "ssim": ("SSIM", 3, ""),
     "mask_iou": ("mask IoU", 2, ""),
+    "sharpness": ("sharpness", 2, ""),
 }
 """Field of `Agreement` to label, digits and unit."""
 _NAMES = {"baseline": "street's own actor", "candidate": "generated actor", "truth": "truth"}

@@ -164,14 +164,14 @@ def truth_table(views: OracleViews) -> Table:
         title_justify="left",
         box=SIMPLE_HEAD,
     )
-    for heading in ("degrees from the log", "views", "PSNR dB", "SSIM", "mask IoU"):
+    for heading in ("degrees from the log", "views", "PSNR dB", "SSIM", "mask IoU", "sharpness"):
         table.add_column(heading, no_wrap=True)
     for row in views.summary:
         if row.baseline is None or row.candidate is None:
             continue
         values = (
             f"{getattr(row.baseline, name):.{digits}f} → {getattr(row.candidate, name):.{digits}f}"
-            for name, digits in (("psnr", 2), ("ssim", 3), ("mask_iou", 2))
+            for name, digits in (("psnr", 2), ("ssim", 3), ("mask_iou", 2), ("sharpness", 2))
         )
         table.add_row(f"{row.low:.0f}-{row.high:.0f}", str(row.views), *values)
     return table

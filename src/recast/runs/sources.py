@@ -30,15 +30,15 @@ from recast.weights import shipped_folder
 
 RECIPES = {
     "log": 2,
-    "actor": 9,
+    "actor": 10,
     "refine": 5,
     "turntable": 1,
     "scene": 4,
     "evaluation": 3,
-    "truth": 4,
+    "truth": 5,
     "rollout": 7,
     "scene-level": 3,
-    "metrics": 7,
+    "metrics": 8,
     "report": 8,
 }
 """Version of what recast's own code makes of the inputs of a step.
