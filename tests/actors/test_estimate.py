@@ -105,6 +105,28 @@ def test_paint_and_sky_are_told_apart(
     assert np.linalg.norm(lab[0] - lab[1]) < 5.0
 
 
+def test_shading_that_the_model_lacks_does_not_bleach_a_coloured_paint(
+    cloud: SurfaceCloud, observation: Observation
+) -> None:
+    """Panels in a wrong shade tell nothing of the hue: it is the paint's own all over them."""
+    srgb = np.array([0.55, 0.2, 0.12])
+    seen = photographed(cloud, gamma_to_linear(srgb), Daylight(mirror=0.5, clouds=1.0))
+    flank = np.abs(cloud.normals[:, 1]) > 0.8
+    shaded = gamma_to_linear(seen.colour) * np.where(flank, 1.5, 0.7)[:, None]
+    _, found = estimate_light(cloud, [replace(seen, colour=linear_to_gamma(shaded))], observation)
+    found /= found.mean()
+    wanted = gamma_to_linear(srgb) / gamma_to_linear(srgb).mean()
+    assert np.abs(found - wanted).max() < 0.12
+
+
+def test_mirrored_light_that_nothing_showed_is_grey(
+    cloud: SurfaceCloud, observation: Observation
+) -> None:
+    seen = photographed(cloud, 0.5, Daylight(mirror=0.0, contrast=0.0))
+    light, _ = estimate_light(cloud, [seen], observation)
+    assert light.mirror > 0.3 and light.clouds > 0.6
+
+
 def test_road_tells_the_light(observation: Observation) -> None:
     levels = [road_level(road_light(under(observation, level))) for level in (0.3, 0.6, 1.0)]
     assert levels == sorted(levels)
