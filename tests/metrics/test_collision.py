@@ -1,10 +1,15 @@
 """Overlap of boxes and NC."""
 
 import numpy as np
+import pytest
 from hypothesis import strategies as st
 
 from recast.dynamics import state as columns
-from recast.metrics.driving import no_collision, no_collision_at_fault
+from recast.metrics.driving import (
+    no_collision,
+    no_collision_at_fault,
+    no_phantom_braking,
+)
 
 poses = st.tuples(st.floats(-8, 8), st.floats(-8, 8), st.floats(-4, 4))
 sizes = st.tuples(st.floats(0.3, 12), st.floats(0.3, 3))
@@ -77,3 +82,48 @@ def test_one_contact_at_fault_among_several_decides():
     assert no_collision_at_fault(hits, states, actors).value == 0.0
     assert no_collision_at_fault(hits[:2], states, actors[:2]).value == 1.0
     assert no_collision_at_fault(hits[:1], states, actors[:1]).reason is None
+
+
+def braking_for(actor, deceleration=5.0, speed=15.0):
+    """No phantom braking of an ego that brakes along x, and an actor (x, y, heading, speed)."""
+    times = 0.1 * np.arange(41)
+    states = np.zeros((41, 11))
+    states[:, columns.VX] = np.maximum(speed - deceleration * times, 0.0)
+    states[1:, columns.X] = np.cumsum(states[:-1, columns.VX]) * 0.1
+    x, y, heading, moves = actor
+    path = np.tile([x, y, heading, moves], (41, 1))
+    path[:, 0] += moves * np.cos(heading) * times
+    path[:, 1] += moves * np.sin(heading) * times
+    route = np.stack([np.linspace(-5.0, 200.0, 400), np.zeros(400)], axis=-1)
+    size = [4.6, 1.9]
+    return no_phantom_braking(states, [5.2, 2.3], 1.4, [(path, size)], route, 0.1)
+
+
+@pytest.mark.parametrize(
+    ("actor", "causes"),
+    [
+        ((40.0, 0.0, 0.0, 0.0), True),  # standing ahead
+        ((25.0, 0.0, 0.0, 3.0), True),  # slower, ahead
+        ((90.0, 0.0, np.pi, 12.0), True),  # oncoming in the ego's lane
+        ((22.0, 3.5, -0.25, 4.0), True),  # cutting in
+        ((30.0, -8.0, np.pi / 2, 5.0), True),  # crossing
+        ((30.0, 3.5, 0.0, 15.0), False),  # in the next lane
+        ((60.0, 3.5, np.pi, 12.0), False),  # oncoming in the next lane
+        ((120.0, 0.0, 0.0, 0.0), False),  # far ahead
+        ((-15.0, 0.0, 0.0, 15.0), False),  # behind
+    ],
+)
+def test_hard_braking_has_a_cause_or_is_a_phantoms(actor, causes):
+    metric = braking_for(actor)
+    assert metric.value == float(causes)
+    told = "brakes with up to 5.0 m/s2 from step 0 (0.0 s), and nothing is ahead"
+    assert causes or metric.reason == told
+    assert braking_for(actor, deceleration=2.5).value == 1.0
+
+
+def test_what_cannot_be_told_of_braking():
+    states, route = np.zeros((41, 11)), np.zeros((1, 2))
+    assert not no_phantom_braking(states, [5.2, 2.3], 1.4, [], route, 0.1).valid
+    assert not no_phantom_braking(states[:4], [5.2, 2.3], 1.4, [], route, 0.1).valid
+    line = np.stack([np.linspace(0, 99, 100), np.zeros(100)], axis=-1)
+    assert no_phantom_braking(states, [5.2, 2.3], 1.4, [], line, 0.1).value == 1.0

@@ -32,6 +32,14 @@ _STANDING = 0.05
 """m/s up to which a road user stands, as nuPlan has it."""
 _BEHIND = np.radians(150.0)
 """Bearing off the ego's heading beyond which what it meets is behind it, as nuPlan has it."""
+_HARD, _HARD_SECONDS = 3.0, 0.5
+"""m/s^2 over so many seconds that no driver brakes with unless something makes them."""
+_MARGIN, _LOOK_AHEAD = 0.5, 2.0
+"""Metres beside the ego's way, and seconds ahead, within which an actor is a cause to brake."""
+_REACH = 150.0
+"""Metres along the route about the ego within which actors are looked for."""
+_REACTION, _STANDSTILL = 1.0, 5.0
+"""Seconds and metres beyond the way to brake within which it is one."""
 _SLIP = np.pi / 6
 """Radians between motion and heading beyond which the heading says nothing of the motion."""
 
@@ -303,6 +311,64 @@ def drivable_area_compliance(
         f"at step {first} ({first * dt:.1f} s); {distance.max():.2f} m at the worst"
     )
     return DrivableArea(Metric(0.0, reason), distance, first)
+
+
+def no_phantom_braking(
+    ego_states: ArrayLike,
+    ego_size: ArrayLike,
+    centre_offset: float,
+    actors: Sequence[tuple[ArrayLike, ArrayLike]],
+    route: ArrayLike,
+    dt: float,
+) -> Metric:
+    """1 unless the ego brakes with more than 3 m/s^2 over half a second and no actor is a cause.
+
+    A cause lies ahead on the route within the way that the ego needs to stop with 3 m/s^2, a second
+    and 5 m more; an oncoming actor, within what it drives meanwhile besides. Its box is within
+    0.5 m of the ego's way now, or will be within 2 s at its velocity.
+
+    Args:
+        ego_states: (S+1, 11) states of the ego.
+        ego_size: (>=2,) length and width, metres; `centre_offset` from the rear axle to the middle.
+        actors: (S+1, >=4) x, y, heading, speed, and size (>=2,), of each actor.
+        route: (R, 2) the logged ego path.
+        dt: seconds between states.
+    """
+    states = np.asarray(ego_states, np.float64)
+    speed, span = np.hypot(states[:, ego.VX], states[:, ego.VY]), round(_HARD_SECONDS / dt)
+    if len(states) <= span:
+        return invalid(f"shorter than {_HARD_SECONDS:g} s")
+    try:
+        line = Polyline.from_points(route)
+    except ValueError:
+        return invalid("no route")
+    braking = (speed[:-span] - speed[span:]) / (span * dt)
+    length, width = np.asarray(ego_size, np.float64)[:2]
+    along = line.follow(states[:, :2])
+    cause = np.zeros(len(states), np.bool_)
+    for actor, size in actors:
+        path, half = np.asarray(actor, np.float64), np.asarray(size, np.float64)[:2] / 2
+        course = path[:, 2] - line.heading(along)
+        ways = path[:, 3] * np.stack([np.cos(path[:, 2]), np.sin(path[:, 2])])
+        beside = []
+        for seconds in np.linspace(0.0, _LOOK_AHEAD, 5):
+            s, lateral = line.to_frenet(path[:, :2] + seconds * ways.T, along, _REACH)
+            beside.append(np.abs(lateral))
+        s, _ = line.to_frenet(path[:, :2], along, _REACH)
+        across = half[0] * np.abs(np.sin(course)) + half[1] * np.abs(np.cos(course))
+        near = np.min(beside, axis=0) - across - width / 2 < _MARGIN
+        deep = half[0] * np.abs(np.cos(course)) + half[1] * np.abs(np.sin(course))
+        gap = s - along - centre_offset - length / 2 - deep
+        needed = speed**2 / (2 * _HARD) + _REACTION * speed + _STANDSTILL
+        needed += np.clip(-path[:, 3] * np.cos(course), 0.0, None) * (speed / _HARD + _REACTION)
+        cause |= near & (gap > -length - 2 * deep) & (gap < needed)
+    lately = np.array([cause[max(k - span, 0) : k + span + 1].any() for k in range(len(braking))])
+    phantom = np.where(lately, 0.0, braking)
+    if phantom.max() <= _HARD:
+        return Metric(1.0)
+    first = int(np.argmax(phantom > _HARD))
+    told = f"brakes with up to {phantom.max():.1f} m/s2 from step {first} ({first * dt:.1f} s)"
+    return Metric(0.0, f"{told}, and nothing is ahead")
 
 
 @dataclass(frozen=True)

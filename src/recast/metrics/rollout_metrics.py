@@ -28,6 +28,7 @@ from recast.metrics.driving import (
     least_time,
     no_collision,
     no_collision_at_fault,
+    no_phantom_braking,
     realised_future,
     route_completion,
     time_to_collision,
@@ -57,6 +58,7 @@ class RolloutMetrics:
             all controlled actors.
         collisions: NC with each controlled actor, by track id, the target first.
         nc_at_fault: NC over the contacts that the ego is to blame for.
+        braking: whether hard braking has a cause.
         comfort, comfort_4_13, comfort_nuplan_savgol: three readings of COM; the first is the
             headline.
         driven: nuPlan's comfort of what was driven.
@@ -78,6 +80,7 @@ class RolloutMetrics:
     collision: Collision
     collisions: Mapping[str, Collision]
     nc_at_fault: Metric
+    braking: Metric
     drivable: DrivableArea
     ttc: TimeToCollision
     ttc_constant_velocity: TimeToCollision
@@ -125,6 +128,7 @@ class RolloutMetrics:
             "r_c": self.progress.r_c,
             "com": self.comfort.com,
             "com_driven": self.driven.com,
+            "no_phantom_braking": self.braking,
             "ttc_constant_velocity": self.ttc_constant_velocity.ttc,
             "r_c_projection": self.progress.r_c_projection,
             "com_4_13": self.comfort_4_13.com,
@@ -178,6 +182,7 @@ def rollout_metrics(rollout: Rollout, hd_map: HdMap | None) -> RolloutMetrics:
     ego_boxes, dt = rollout.ego_boxes, rollout.dt
     steps = np.asarray(rollout.plan_steps, np.int64)
     actors = rollout_actors(rollout)
+    shapes = [(actor.states, actor.size) for actor in actors]
     collisions = rollout_collisions(rollout)
     collision = any_collision(list(collisions.values()))
 
@@ -207,6 +212,9 @@ def rollout_metrics(rollout: Rollout, hd_map: HdMap | None) -> RolloutMetrics:
         collisions=collisions,
         nc_at_fault=no_collision_at_fault(
             list(collisions.values()), rollout.ego, [actor.states for actor in actors]
+        ),
+        braking=no_phantom_braking(
+            rollout.ego, rollout.ego_size, rollout.ego_centre_offset, shapes, rollout.route, dt
         ),
         drivable=drivable_area_compliance(ego_boxes, rollout.ego_size, drivable_region(hd_map), dt),
         ttc=ttc(realised_future),

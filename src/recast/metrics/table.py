@@ -93,6 +93,7 @@ COLUMNS: Mapping[str, Column] = {
     "r_c": Column("R_c", "%", 100.0, True),
     "com": Column("COM", "%", 100.0, True),
     "com_driven": Column("COM driven", "%", 100.0, True, passes=True),
+    "no_phantom_braking": Column("no phantom braking", "%", 100.0, False, passes=True),
     "ttc_constant_velocity": Column("TTC (constant velocity)", "s", 1.0, False),
     "r_c_projection": Column("R_c (projection)", "%", 100.0, False),
     "com_4_13": Column("COM (jerk 4.13)", "%", 100.0, False),

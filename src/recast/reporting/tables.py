@@ -28,6 +28,8 @@ DEFINITIONS: Mapping[str, str] = {
     "(4.89 m/s²) stay within limits.",
     "com_driven": "Comfort of the driven path: nuPlan's six checks hold throughout the smoothed "
     "motion of the ego. A plan may begin with a jump that the controller never drives.",
+    "no_phantom_braking": "No phantom braking: the ego never brakes with more than 3 m/s² over "
+    "half a second where no actor ahead, or about to be, makes it.",
     "ttc_constant_velocity": "TTC if the actor goes on at constant velocity.",
     "r_c_projection": "Route completion by the ego's projection onto the route.",
     "com_4_13": "Comfort with nuPlan's limit on jerk, 4.13 m/s³.",
