@@ -50,7 +50,6 @@ _CONTRAST, _CONTRAST_SPREAD, _CONTRAST_ROUNDS = (0.0, 1.3), 0.4, 4
 _CHROMA_SPREAD = 0.06  # of the paint's channels: four in five cars are white, grey or black
 _CLIPPED = 0.97  # display value from which a channel may be saturated
 _MISFIT = 0.15  # the model's shading is off by this share of the paint's brightness
-_HUE_MISFIT = 0.06  # and, beside the paint's hue, by this one: shading changes no hue
 _EFFECTIVE = 40.0  # independent measurements among the patches, however many there are
 _FEW = 50
 _PANES = (0.6, 0.55), (0.4, 0.25)  # usual factors of panes and their spread
@@ -223,17 +222,12 @@ def _split(
         across: (N,) diffuse light; `clear`, `cloudy`: (N, 3) mirrored light of both skies.
     """
     middle = np.median(found[:count], axis=0)
-    spread = np.full(found.shape, _PANE_NOISE)
+    spread = np.broadcast_to(_MISFIT * middle + 0.004, found.shape).copy()
+    spread[count:] = _PANE_NOISE
     rows = np.zeros((len(found), 3, 6))
     rows[:count, [0, 1, 2], [0, 1, 2]] = across[:count, None]
     rows[:, :, 3], rows[:, :, 4] = clear, cloudy
     rows[count:, :, 5] = across[count:, None]
-    # a patch in the wrong shade has all its channels wrong by one share: paint's hue tells more
-    axes = _beside(middle)
-    length = float(np.linalg.norm(middle))
-    spread[:count] = np.array([_MISFIT, _HUE_MISFIT, _HUE_MISFIT]) * length + 0.004
-    found = np.concatenate([found[:count] @ axes.T, found[count:]])
-    rows[:count] = axes @ rows[:count]
     prior = np.array(
         [
             [0, 0, 0, 1 / (_MIRROR_SPREAD * level), 1 / (_MIRROR_SPREAD * level), 0],
@@ -259,14 +253,6 @@ def _split(
         # bright colours are rare, but once seen they are no accident: the pull does not grow
         trust[2:4] = 1 / np.maximum(np.abs(prior[2:4] @ answer), 1.0)
     return answer[:3], answer[3:5], share[:count]
-
-
-def _beside(colour: Array) -> Array:
-    """(3, 3) orthonormal rows, the first along a colour (3,)."""
-    first = colour / max(float(np.linalg.norm(colour)), 1e-9)
-    second = np.cross(first, [1.0, 0.0, -1.0])  # no colour of light is like that
-    second /= np.linalg.norm(second)
-    return np.stack([first, second, np.cross(first, second)])
 
 
 def road_light(observation: Observation, gains: Sequence[float] = ()) -> Array:
