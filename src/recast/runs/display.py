@@ -160,11 +160,12 @@ def _mean(row: Mapping[str, Any], name: str) -> str:
 def truth_table(views: OracleViews) -> Table:
     """Table of the vehicle's scores against the truth, by angle from the nearest logged view."""
     table = Table(
-        title="actor's box against the truth: street's own actor → generated actor",
+        title="actor's box against the truth, by degrees from the log's views: "
+        "street's own actor → generated actor",
         title_justify="left",
         box=SIMPLE_HEAD,
     )
-    for heading in ("degrees from the log", "views", "PSNR dB", "SSIM", "mask IoU", "sharpness"):
+    for heading in ("degrees", "views", "PSNR dB", "SSIM", "mask IoU", "sharpness"):
         table.add_column(heading, no_wrap=True)
     for row in views.summary:
         if row.baseline is None or row.candidate is None:
