@@ -10,8 +10,8 @@ from recast.cameras import PinholeCamera
 from recast.geometry import se3
 from recast.logs import Trajectory
 from recast.scene import SceneActor, SkyMap, StreetScene
-from recast.scene.actor import look_at
-from recast.splats import Gaussians, rasterize
+from recast.scene.actor import draw, look_at
+from recast.splats import Gaussians
 from support import made_up_actors as made_up
 
 CAMERA = PinholeCamera(72, 48, 75.0, 75.0, 36.0, 24.0)
@@ -28,14 +28,7 @@ def sightings(
         eye = distance * np.array([np.cos(azimuth), np.sin(azimuth), 0.25])
         pose = look_at(eye, np.zeros(3))
         with torch.no_grad():
-            picture = rasterize(
-                vehicle,
-                torch.from_numpy(pose).float(),
-                torch.from_numpy(CAMERA.matrix).float(),
-                CAMERA.width,
-                CAMERA.height,
-                background=torch.full((3,), GREY),
-            )
+            picture = draw(vehicle, pose, CAMERA, background=(GREY,) * 3)
         found.append(
             Sighting(
                 camera_name="front",

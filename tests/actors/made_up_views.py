@@ -9,8 +9,8 @@ from recast.actors import Observation
 from recast.actors.observe import observation_of_view
 from recast.cameras import PinholeCamera
 from recast.geometry.colour import gamma_to_linear, linear_to_gamma
-from recast.scene.actor import look_at
-from recast.splats import Gaussians, rasterize
+from recast.scene.actor import draw, look_at
+from recast.splats import Gaussians
 from support import made_up_actors as made_up
 
 CAMERA = PinholeCamera(320, 200, 360.0, 360.0, 160.0, 100.0)
@@ -29,13 +29,7 @@ def seen_from(
     eye = np.array([9 * np.cos(turn), 9 * np.sin(turn), 1.0])
     camera_from_object = look_at(eye, np.zeros(3))
     with torch.no_grad():
-        picture = rasterize(
-            vehicle,
-            torch.from_numpy(camera_from_object).float(),
-            torch.from_numpy(CAMERA.matrix).float(),
-            CAMERA.width,
-            CAMERA.height,
-        )
+        picture = draw(vehicle, camera_from_object, CAMERA)
     alpha = (picture.alpha.numpy() > 0.5).astype(np.uint8) * 255
     colour = linear_to_gamma(level * gamma_to_linear(np.clip(picture.rgb.numpy(), 0, 1)))
     rgba = np.dstack([(colour * 255).astype(np.uint8), alpha])

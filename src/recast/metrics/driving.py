@@ -350,15 +350,12 @@ def no_phantom_braking(
         path, half = np.asarray(actor, np.float64), np.asarray(size, np.float64)[:2] / 2
         course = path[:, 2] - line.heading(along)
         ways = path[:, 3] * np.stack([np.cos(path[:, 2]), np.sin(path[:, 2])])
-        beside = []
-        for seconds in np.linspace(0.0, _LOOK_AHEAD, 5):
-            s, lateral = line.to_frenet(path[:, :2] + seconds * ways.T, along, _REACH)
-            beside.append(np.abs(lateral))
-        s, _ = line.to_frenet(path[:, :2], along, _REACH)
+        moved = np.linspace(0.0, _LOOK_AHEAD, 5)[:, None, None] * ways.T
+        s, lateral = line.to_frenet(path[:, :2] + moved, along, _REACH)
         across = half[0] * np.abs(np.sin(course)) + half[1] * np.abs(np.cos(course))
-        near = np.min(beside, axis=0) - across - width / 2 < _MARGIN
+        near = np.abs(lateral).min(axis=0) - across - width / 2 < _MARGIN
         deep = half[0] * np.abs(np.cos(course)) + half[1] * np.abs(np.sin(course))
-        gap = s - along - centre_offset - length / 2 - deep
+        gap = s[0] - along - centre_offset - length / 2 - deep
         needed = speed**2 / (2 * _HARD) + _REACTION * speed + _STANDSTILL
         needed += np.clip(-path[:, 3] * np.cos(course), 0.0, None) * (speed / _HARD + _REACTION)
         cause |= near & (gap > -length - 2 * deep) & (gap < needed)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -10,9 +10,10 @@ from numpy.typing import ArrayLike
 
 from recast.arrays import Array
 from recast.core.foreign import read_only
-from recast.dynamics import EgoState, ground_velocities, initial_state
+from recast.dynamics import EgoState, VehicleParameters, ground_velocities, initial_state
 from recast.dynamics import state as ego
 from recast.geometry import se2
+from recast.logs import Track, Trajectory
 from recast.logs.motion import logged_velocity
 from recast.planning import WAYPOINTS, ActorState, ReferenceRoute
 from recast.simulation.actor_motion import MotionInput, RoadUsers
@@ -107,12 +108,15 @@ class History:
 
     def ego_history(self) -> Array:
         """Ego states (H, 11) of up to 2 s, oldest first, the present one last."""
-        return np.array([*self._logged, *self.ego][-self._shown - 1 :])
+        return np.array([*self._logged, *self.ego][-_shown(self._setup.dt) - 1 :])
 
     def road_users(self) -> tuple[ActorState, ...]:
         """All road users but the ego now: controlled ones, the target first, then logged ones."""
         controlled = (self._as_road_user(track_id) for track_id in self._actors)
-        return (*controlled, *_other_actors(self._setup, self.timestamp_us(self.step)))
+        setup = self._setup
+        others = (setup.log.tracks[key] for key in _other_ids(setup))
+        logged = logged_road_users(others, self.timestamp_us(self.step), setup.dt)
+        return (*controlled, *logged)
 
     def state(self, step: int) -> SimState:
         """The world at a step up to now, read-only.
@@ -203,21 +207,13 @@ class History:
         rollout.validate()
         return replace(read_only(rollout), origin=RolloutOrigin(setup, renderer))
 
-    @property
-    def _shown(self) -> int:
-        """Past states that a planner is shown, besides the present one."""
-        return round(_SHOWN / self._setup.dt)
-
     def _logged_past(self) -> list[Array]:
         """Ego states (11,) before the start, as many as recorded, oldest first.
 
         They are the logged ones, moved as the start is (`RolloutSettings.start_left`).
         """
         setup, first = self._setup, self._start.start_timestamp_us
-        log, step = setup.log.world_from_rig, round(setup.dt * 1e6)
-        count = min(self._shown, int((first - log.timestamps_us[0]) // step))
-        times = [first - step * i for i in range(count, 0, -1)]
-        past = [initial_state(log.timestamps_us, log.poses, time, setup.vehicle) for time in times]
+        past = logged_past(setup.log.world_from_rig, first, setup.dt, setup.vehicle)
         left = setup.start_left
         return [ego.moved_left(state, left) for state in past] if left else past
 
@@ -248,15 +244,40 @@ def other_poses(setup: RolloutSetup, timestamp_us: int) -> dict[str, Array]:
     return {k: t.at(timestamp_us) for k, t in trajectories.items() if t.covers(timestamp_us)}
 
 
-def _other_actors(setup: RolloutSetup, timestamp_us: int) -> list[ActorState]:
-    """What a planner sees of them; velocities are differences over one step to each side."""
-    step = round(setup.dt * 1e6)
-    actors = []
-    for key, pose in other_poses(setup, timestamp_us).items():
-        track = setup.log.tracks[key]
-        velocity = logged_velocity(track.trajectory, timestamp_us, step)
-        actors.append(ActorState(key, track.category, se2.from_se3(pose), velocity, track.size))
-    return actors
+def logged_road_users(
+    tracks: Iterable[Track], timestamp_us: int, dt: float
+) -> tuple[ActorState, ...]:
+    """What a planner sees of the tracks that are labelled at a time.
+
+    Velocities are differences over one step of `dt` seconds to each side.
+    """
+    step = round(dt * 1e6)
+    return tuple(
+        ActorState(
+            track.track_id,
+            track.category,
+            se2.from_se3(track.trajectory.at(timestamp_us)),
+            logged_velocity(track.trajectory, timestamp_us, step),
+            track.size,
+        )
+        for track in tracks
+        if track.trajectory.covers(timestamp_us)
+    )
+
+
+def logged_past(
+    log: Trajectory, timestamp_us: int, dt: float, vehicle: VehicleParameters
+) -> list[Array]:
+    """Ego states (11,) of the 2 s before a time, as many as recorded, `dt` apart, oldest first."""
+    step = round(dt * 1e6)
+    count = min(_shown(dt), int((timestamp_us - log.timestamps_us[0]) // step))
+    times = [timestamp_us - step * back for back in range(count, 0, -1)]
+    return [initial_state(log.timestamps_us, log.poses, time, vehicle) for time in times]
+
+
+def _shown(dt: float) -> int:
+    """Past states that a planner is shown, besides the present one."""
+    return round(_SHOWN / dt)
 
 
 EGO = "ego"

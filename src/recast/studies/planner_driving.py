@@ -27,14 +27,12 @@ from recast.core.foreign import whole
 from recast.core.images import draw_text
 from recast.dynamics import PACIFICA, EgoState, VehicleParameters, initial_state
 from recast.dynamics import state as ego
-from recast.geometry import se2
+from recast.geometry import se2, se3
 from recast.logs import DrivingLog, map_of
-from recast.logs.motion import logged_velocity
 from recast.logs.types import CameraStream
 from recast.metrics.table import rounded
 from recast.planning import (
     WAYPOINTS,
-    ActorState,
     BasePlanner,
     Planner,
     PlannerInput,
@@ -45,6 +43,7 @@ from recast.planning import (
     virtual_mounts,
 )
 from recast.simulation import camera_mounts
+from recast.simulation.history import logged_past, logged_road_users
 from recast.simulation.planner_calls import calling
 
 Ahead = Literal["free", "leading", "standing", "oncoming", "crossing"]
@@ -53,13 +52,12 @@ DISTURBANCES = ("one pixel", "one grey level", "JPEG 90")
 """How the recorded images are disturbed, besides as they are."""
 
 _DT = 0.1
-_SHOWN = 2.0  # seconds of the past that a planner gets
 _STOPPED = 0.5  # m/s below which a path stops
 _OFF_LANE = 1.5  # metres beside the recorded path at which a car of 2.3 m touches the next lane
 _MOVED = 2.0  # metres at 4 s by which a plan counts as another one
 _LATE = 0.06  # seconds that an image may be off the moment that it is shown at
 _SPEEDS = (3.0, 8.0)  # m/s between slow, town and fast
-_IN_LANE, _NEXT_LANE, _LOOK = 1.6, 5.0, 60.0  # metres across the path; ahead
+_IN_LANE, _NEXT_LANE, _LOOK = 0.6, 5.0, 60.0  # metres across the path; ahead
 _WORST = 10
 
 
@@ -270,10 +268,9 @@ class RecordedDrive:
 
     def observation(self, index: int, time_us: int) -> PlannerInput:
         """What the planner sees at a time."""
-        now, step = self._state(time_us), round(_DT * 1e6)
-        start = int(self.log.world_from_rig.timestamps_us[0])
-        count = min(round(_SHOWN / _DT), int((time_us - start) // step))
-        past = [self._state(time_us - step * back) for back in range(count, 0, -1)]
+        log = self.log.world_from_rig
+        now = initial_state(log.timestamps_us, log.poses, time_us, self.vehicle)
+        past = logged_past(log, time_us, _DT, self.vehicle)
         at_time = self.route.at_time(time_us)
         near = None if at_time is None else float(at_time)
         return PlannerInput(
@@ -281,7 +278,7 @@ class RecordedDrive:
             timestamp_us=time_us,
             ego=EgoState(now),
             ego_history=np.stack([*past, now]),
-            actors=self.road_users(time_us),
+            actors=logged_road_users(self.log.tracks.values(), time_us, _DT),
             command=self.route.command(now, near),
             images=self.images(time_us),
             route_s=float(self.route.project(now, near)[0]),
@@ -299,25 +296,6 @@ class RecordedDrive:
             name: self.mounts[name].masked(_warped(self.mounts[name], sources, time_us))
             for name, sources in self._sources.items()
         }
-
-    def road_users(self, time_us: int) -> tuple[ActorState, ...]:
-        """All labelled road users at a time."""
-        step = round(_DT * 1e6)
-        return tuple(
-            ActorState(
-                key,
-                track.category,
-                se2.from_se3(track.trajectory.at(time_us)),
-                logged_velocity(track.trajectory, time_us, step),
-                track.size,
-            )
-            for key, track in self.log.tracks.items()
-            if track.trajectory.covers(time_us)
-        )
-
-    def _state(self, time_us: int) -> Array:
-        log = self.log.world_from_rig
-        return initial_state(log.timestamps_us, log.poses, time_us, self.vehicle)
 
 
 @dataclass(frozen=True)
@@ -445,8 +423,8 @@ def _beside(plan: Array, recorded: Array) -> float:
 def what_is_ahead(seen: PlannerInput, route: ReferenceRoute) -> Ahead:
     """What the nearest vehicle ahead does, within 60 m along the recorded path.
 
-    On the path (its box within 1.6 m of it): leading, standing (below 0.5 m/s), crossing, or
-    oncoming. In the next lane, within 5 m: oncoming alone.
+    On the path, if its box comes within 0.6 m of the middle: leading, standing (below 0.5 m/s),
+    crossing, or oncoming. In the next lane, within 5 m: oncoming alone.
     """
     if seen.route_s is None or not seen.actors:
         return "free"
@@ -460,7 +438,7 @@ def what_is_ahead(seen: PlannerInput, route: ReferenceRoute) -> Ahead:
         speed = float(np.hypot(*one.velocity))
         towards = turned > np.radians(135.0) and speed > _STOPPED
         half = abs(np.sin(turned)) * one.size[0] / 2 + abs(np.cos(turned)) * one.size[1] / 2
-        if abs(beside) - half < _IN_LANE - 1.0:
+        if abs(beside) - half < _IN_LANE:
             kind: Ahead = "leading"
             if speed <= _STOPPED:
                 kind = "standing"
@@ -484,7 +462,7 @@ def _picture(
     """(H, W, 3): the image that looks ahead most, with the driven path green and the plan red."""
     name = max(drive.mounts, key=lambda one: drive.mounts[one].rig_from_camera[0, 2])
     mount, page = drive.mounts[name], np.ascontiguousarray(seen.images[name])
-    camera_from_rig = np.linalg.inv(mount.rig_from_camera)
+    camera_from_rig = se3.inverse(mount.rig_from_camera)
     for path, ink in ((recorded, _INK["driven"]), (plan, _INK["plan"])):
         ground = np.column_stack([path[:, :2], np.zeros(len(path)), np.ones(len(path))])
         pixels, depth = mount.camera.project((ground @ camera_from_rig.T)[:, :3])
