@@ -2,6 +2,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from functools import partial
+from threading import Lock
 
 import numpy as np
 import pytest
@@ -55,6 +56,46 @@ def test_the_right_kind_of_vehicle_is_chosen(
     assert best is not None
     for row in (rows[0], rows[3]):
         assert row.score is not None and row.score.total < best.total
+
+
+def test_only_the_chosen_sketch_is_finished(
+    red_car: Gaussians, observation: Observation, street: DrivingLog, evidence: Evidence
+) -> None:
+    finished: list[int] = []
+
+    def finish(seed: int) -> Asset:
+        finished.append(seed)
+        return asset_of(red_car, seed)
+
+    def sketch(style: str, seed: int) -> Asset:
+        return replace(asset_of(made_up.car(style=style), seed), finish=partial(finish, seed))
+
+    makers = [partial(sketch, "van", 1), partial(sketch, "sedan", 2)]
+    choice = choose(makers, observation, street, evidence)
+    rows = choice.actor.provenance.candidates
+    assert finished == [row.seed for row in rows if row.chosen]
+    assert len(choice.actor.gaussians) == len(red_car)
+
+
+def test_no_two_candidates_are_made_at_once(
+    red_car: Gaussians, observation: Observation, street: DrivingLog, evidence: Evidence
+) -> None:
+    """A user's generator need not be made for threads, and what it raises ends the choice."""
+    busy, made = Lock(), []
+
+    def make(seed: int) -> Asset:
+        assert busy.acquire(blocking=False)
+        try:
+            made.append(seed)
+            if seed == 2:
+                raise RuntimeError("out of memory")
+            return asset_of(red_car, seed)
+        finally:
+            busy.release()
+
+    with pytest.raises(RuntimeError, match="out of memory"):
+        choose([partial(make, seed) for seed in range(4)], observation, street, evidence)
+    assert made[:3] == [0, 1, 2]
 
 
 def test_a_vehicle_that_does_not_fit_is_said_not_to(

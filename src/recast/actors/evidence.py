@@ -76,7 +76,7 @@ def free_space(log: DrivingLog, track: Track, hits: ArrayLike) -> FreeSpace:
     hits = np.asarray(hits, np.float64)
     half = np.asarray(track.size, np.float64) / 2 + _GROWTH
     shape = np.ceil(2 * half / EDGE).astype(int)
-    passed = np.zeros(int(np.prod(shape)), np.int32)
+    passed = np.zeros(int(np.prod(shape)), np.int64)
     for lidar in log.lidars.values():
         for index, time in enumerate(lidar.timestamps_us.tolist()):
             if not track.trajectory.covers(time):
@@ -84,8 +84,7 @@ def free_space(log: DrivingLog, track: Track, hits: ArrayLike) -> FreeSpace:
             object_from_rig = se3.inverse(track.trajectory.at(time)) @ log.world_from_rig.at(time)
             origin = se3.apply(object_from_rig, lidar.rig_from_lidar[:3, 3][None])[0]
             ends = se3.apply(object_from_rig, _towards(lidar.sweeps[index].points, object_from_rig))
-            for cells in _crossed(origin, ends, half, shape):
-                passed[cells] += 1
+            passed += _crossed(origin, ends, half, shape)
     free = np.flatnonzero(passed >= _RAYS)
     centres = (np.stack(np.unravel_index(free, shape), -1) + 0.5) * EDGE - half
     if len(hits) and len(centres):
@@ -104,21 +103,24 @@ def _towards(points: NDArray[np.float32], object_from_rig: Array) -> Array:
     return np.asarray(points[cosine > widest], np.float64)
 
 
-def _crossed(origin: Array, ends: Array, half: Array, shape: Array) -> list[NDArray[np.int64]]:
-    """Cells that each ray passes which ends beyond the box, (C,) flat indices a ray."""
+def _crossed(origin: Array, ends: Array, half: Array, shape: Array) -> NDArray[np.int64]:
+    """How many rays that end beyond the box pass each cell, (C,) by flat index."""
     step = ends - origin
     length = np.linalg.norm(step, axis=1)
     enter, leave = crossing(origin, step, -half, half)
     through = (enter < leave) & (enter > 0) & (leave < 1 - _BEHIND / length.clip(1e-9))
-    found = []
-    for a, b, way, metres in zip(
-        enter[through], leave[through], step[through], length[through], strict=True
-    ):
-        count = int((b - a) * metres / (0.5 * EDGE)) + 1
-        points = origin + np.linspace(a, b, count)[:, None] * way
-        cells = np.floor((points + half) / EDGE).astype(np.int64).clip(0, shape - 1)
-        found.append(np.unique(np.ravel_multi_index(tuple(cells.T), tuple(shape))))
-    return found
+    enter, leave, step = enter[through], leave[through], step[through]
+    counts = ((leave - enter) * length[through] / (0.5 * EDGE)).astype(np.int64) + 1
+    ray = np.repeat(np.arange(len(counts)), counts)
+    along = (np.arange(len(ray)) - np.repeat(np.cumsum(counts) - counts, counts)).astype(np.float64)
+    along *= ((leave - enter) / np.maximum(counts - 1, 1))[ray]
+    points = origin + (enter[ray] + along)[:, None] * step[ray]
+    cells = np.floor((points + half) / EDGE).astype(np.int64).clip(0, shape - 1)
+    flat = np.ravel_multi_index(tuple(cells.T), tuple(shape))
+    # a straight ray is in a cell once, so its places in one cell follow each other
+    first = np.ones(len(flat), bool)
+    first[1:] = (flat[1:] != flat[:-1]) | (ray[1:] != ray[:-1])
+    return np.bincount(flat[first], minlength=int(np.prod(shape)))
 
 
 @dataclass(frozen=True)

@@ -338,6 +338,8 @@ class Asset:
         seed: seed that the asset was made with.
         details: facts about how it was made, plain values.
         low_pass: filter that the Gaussians were made for.
+        finish: makes the asset itself where this is a sketch of it, coarse but of the same shape
+            and colours, to be compared with other candidates; None if this is the asset.
     """
 
     gaussians: Gaussians
@@ -346,6 +348,7 @@ class Asset:
     seed: int
     details: Mapping[str, str | float | int] = field(default_factory=dict)
     low_pass: LowPass = CLASSIC
+    finish: Callable[[], Asset] | None = None
 
 
 class ActorGenerator(Protocol):
@@ -371,7 +374,8 @@ class BaseGenerator(BasePart):
 
     def candidates(self, observation: Observation, seed: int) -> Sequence[Callable[[], Asset]]:
         """Functions that make each of the vehicles that the view may show, the likeliest first;
-        each may raise InputError. The one of `generate` unless a generator knows several."""
+        each may raise InputError, and may give a sketch (`Asset.finish`). The one of `generate`
+        unless a generator knows several."""
         return [partial(generated, self, observation, seed)]
 
 

@@ -7,6 +7,7 @@ evidence, then constrained ICP; the wheels stand on the box's ground plane throu
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 
 import cv2
@@ -285,7 +286,7 @@ def choose(
     evidence: Evidence,
     progress: Progress | None = None,
 ) -> CandidateChoice:
-    """Register and score every candidate, and take the best.
+    """Register and score every candidate, and take the best; finish it if it is a sketch.
 
     Args:
         makers: what makes each candidate from the observation.
@@ -298,22 +299,30 @@ def choose(
     track = log.tracks[observation.track_id]
     rows: list[CandidateRecord] = []
     actors: dict[int, Actor] = {}  # by row
+    finishes: dict[int, Callable[[], Asset] | None] = {}
     scores: dict[int, CandidateScore] = {}
     failure: InputError | None = None
-    for index, make in enumerate(makers):
-        if progress is not None:
-            progress(index, len(makers))
+    # While one is judged, the next is made; never two at once, since a generator may be anyone's.
+    with ThreadPoolExecutor(max_workers=1) as making:
+        coming = [making.submit(make) for make in makers]
         try:
-            asset = make()
-            actor = register(asset, observation, log, track)
-        except InputError as error:
-            failure = error
-            rows.append(CandidateRecord(generator="", seed=0, label=f"none: {error}"))
-            continue
-        actors[len(rows)], scores[len(rows)] = actor, candidate_score(actor, evidence)
-        rows.append(
-            CandidateRecord(generator=asset.generator, seed=asset.seed, label=_label(asset))
-        )
+            for index, one in enumerate(coming):
+                if progress is not None:
+                    progress(index, len(makers))
+                try:
+                    asset = one.result()
+                    actor = register(asset, observation, log, track)
+                except InputError as error:
+                    failure = error
+                    rows.append(CandidateRecord(generator="", seed=0, label=f"none: {error}"))
+                    continue
+                actors[len(rows)], scores[len(rows)] = actor, candidate_score(actor, evidence)
+                finishes[len(rows)] = asset.finish
+                rows.append(
+                    CandidateRecord(generator=asset.generator, seed=asset.seed, label=_label(asset))
+                )
+        finally:
+            making.shutdown(cancel_futures=True)
     if progress is not None:
         progress(len(makers), len(makers))
     if not scores:
@@ -325,7 +334,9 @@ def choose(
     for row, score in scores.items():
         update = {"score": score, "chosen": row == chosen}
         rows[row] = rows[row].model_copy(update=update)
-    actor = actors[chosen]
+    actor, finish = actors[chosen], finishes[chosen]
+    if finish is not None:
+        actor = register(finish(), observation, log, track)
     provenance = actor.provenance.model_copy(update={"candidates": tuple(rows)})
     return CandidateChoice(replace(actor, provenance=provenance), scores[chosen].fits)
 

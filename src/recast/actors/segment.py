@@ -257,11 +257,12 @@ class BoxLidarSegmenter:
         core |= _dense(_lidar_pixels(target, apron), outline.shape, extent)
         trimap[core & outline] = cv2.GC_FGD
         pixels, depth = project_points(target.camera, target.other_points)
+        inside = (depth > 0.5) & np.all((pixels >= 0) & (pixels < [width, height]), axis=1)
+        u, v = pixels[inside].astype(int).T
         behind = np.zeros((height, width), np.uint8)
-        for (u, v), z in zip(pixels, depth, strict=True):
-            if z > 0.5 and 0 <= u < width and 0 <= v < height:
-                cv2.circle(behind, (int(u), int(v)), 1, 1, -1)
-        trimap[(behind > 0) & ~core] = cv2.GC_BGD
+        behind[v, u] = 1
+        cross = cv2.getStructuringElement(cv2.MORPH_CROSS, (3, 3))
+        trimap[(cv2.dilate(behind, cross) > 0) & ~core] = cv2.GC_BGD
         return trimap
 
 

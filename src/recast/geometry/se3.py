@@ -171,6 +171,9 @@ def interpolate(timestamps_us: ArrayLike, poses: ArrayLike, query_us: ArrayLike)
     right = np.clip(np.searchsorted(times, query, side="right"), 1, len(times) - 1)
     left = right - 1
     fraction = (query - times[left]) / (times[right] - times[left])
+    if query.size:  # no others are asked for, and a log has thousands
+        low, high = int(left.min()), int(right.max())
+        poses, left, right = poses[low : high + 1], left - low, right - low
     quats = matrix_to_quat(poses[:, :3, :3])
     rotation = quat_to_matrix(slerp(quats[left], quats[right], fraction))
     weight = fraction[..., None]

@@ -133,6 +133,7 @@ def make_actor(
         track_id,
         segmenter=makers.segmenter,
         config=config,
+        hits=observation.points,
         progress=_stage(progress, "images"),
     )
     with files.atomic_folder(out / OBSERVATION_FOLDER) as folder:

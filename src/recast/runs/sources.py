@@ -30,7 +30,7 @@ from recast.weights import shipped_folder
 
 RECIPES = {
     "log": 2,
-    "actor": 10,
+    "actor": 11,
     "refine": 5,
     "turntable": 1,
     "scene": 4,

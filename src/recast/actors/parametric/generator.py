@@ -14,7 +14,7 @@ from recast.actors.parametric.codec import VehicleLook
 from recast.actors.parametric.model import ParametricModel, parametric_model, predict_design
 from recast.actors.template.body import TemplateBody
 from recast.actors.template.cloud import SurfaceCloud, build_cloud
-from recast.actors.template.generator import vehicle_gaussians
+from recast.actors.template.generator import SKETCHED, vehicle_gaussians
 from recast.actors.template.lighting import (
     Daylight,
     estimate_light,
@@ -56,16 +56,23 @@ class ParametricGenerator(BaseGenerator):
         self.model, self.spacing = model or parametric_model(), spacing
 
     def candidates(self, observation: Observation, seed: int) -> Sequence[Callable[[], Asset]]:
-        """The most likely vehicle, then three that the flow draws."""
-        mean = partial(self.generate, observation, 0)
-        return [mean, *(partial(self.generate, observation, seed + i + 1) for i in range(_SAMPLES))]
+        """Sketches of the most likely vehicle and of three that the flow draws."""
+        seeds = [0, *(seed + i + 1 for i in range(_SAMPLES))]
+        return [partial(self._sketch, observation, one) for one in seeds]
 
     def generate(self, observation: Observation, seed: int) -> Asset:
         """The most likely vehicle for seed 0, else one that the flow draws with that seed."""
+        return self._built(observation, seed, self.spacing)
+
+    def _sketch(self, observation: Observation, seed: int) -> Asset:
+        sketch = self._built(observation, seed, max(self.spacing, SKETCHED))
+        return replace(sketch, finish=partial(self.generate, observation, seed))
+
+    def _built(self, observation: Observation, seed: int, spacing: float) -> Asset:
         told = predict_design(observation, self.model)
         vehicle = told.samples(seed)[0] if seed else told.vehicle
         body = TemplateBody(observation.size, vehicle.design)
-        cloud = build_cloud(body, self.spacing, np.random.default_rng(seed))
+        cloud = build_cloud(body, spacing, np.random.default_rng(seed))
         finish = measured_finish(cloud, observation) or told_finish(vehicle.look, observation)
         return Asset(
             gaussians=vehicle_gaussians(

@@ -27,6 +27,7 @@ from recast.reconstruction.losses import photometric_loss
 from recast.reconstruction.settings import generator, picked_view
 from recast.scene.actor import draw, mirrored
 from recast.splats import Gaussians, LowPass, concatenate
+from recast.splats.adam import RowAdam
 from recast.splats.gaussians import quat_multiply, quat_to_matrix
 from recast.splats.sh import C0
 
@@ -146,16 +147,18 @@ class FreeGaussians:
         prior: Gaussians in the actor frame; harmonics of any degree become at least those of degree
             1.
         freedom: (M,) in [0, 1] of the first M of them; the others stay.
+        drawn: how many of the first no image can do without; all if None.
 
     Attributes:
         changes: leaf tensors by field, of the first M.
     """
 
-    def __init__(self, prior: Gaussians, freedom: Tensor) -> None:
+    def __init__(self, prior: Gaussians, freedom: Tensor, drawn: int | None = None) -> None:
         if prior.sh.shape[1] < 4:
             room = (0, 0, 0, 4 - prior.sh.shape[1])
             prior = replace(prior, sh=torch.nn.functional.pad(prior.sh, room))
         self.prior, self._freedom = prior.detach(), freedom
+        self._drawn = len(prior) if drawn is None else drawn
         self.changes = {
             name: torch.zeros_like(getattr(self.prior, name)[: len(freedom)], requires_grad=True)
             for name in FIELDS
@@ -166,15 +169,19 @@ class FreeGaussians:
         return self._freedom.view(-1, *[1] * (change.ndim - 1)) * change
 
     def __call__(self) -> Gaussians:
-        """The Gaussians as they stand; differentiable in the changes."""
+        """Those that are drawn, as they stand; differentiable in the changes."""
         count, value = len(self._freedom), {}
         for name in FIELDS:
             prior = getattr(self.prior, name)
             changed = prior[:count] + self._change(name)
             if name == "log_scales":
                 changed = changed.clamp(*REFINE.log_size)
-            value[name] = torch.cat([changed, prior[count:]])
+            value[name] = torch.cat([changed, prior[count : self._drawn]])
         return Gaussians(**value)
+
+    def whole(self, drawn: Gaussians) -> Gaussians:
+        """Those that are drawn, and the others as they were."""
+        return concatenate([drawn, self.prior.select(torch.arange(self._drawn, len(self.prior)))])
 
     def strain(self) -> Tensor:
         """Pull towards the prior: squares of shifts, of scales, of degree one."""
@@ -374,7 +381,7 @@ def fit_shape(
     lidar = torch.from_numpy(thinned(hits, REFINE.lidar_points))
     nearest = torch.zeros(0, dtype=torch.int64)
     parameters = {**bend.parameters(), "poses": poses.values}
-    optimiser = _adam(parameters, REFINE.shape_rates())
+    adams = AdamDescent(parameters, REFINE.shape_rates())
     for index in range(task.steps.shape):
         loss = task.image_loss(bend(prior), poses, index)
         if len(lidar):
@@ -388,7 +395,7 @@ def fit_shape(
                 + REFINE.lidar_weight * torch.log1p((gap / REFINE.lidar_noise_m).square()).mean()
             )
         loss = loss + REFINE.strain_weight * (bend.strain() + poses.roughness())
-        _descend(optimiser, loss, index / task.steps.shape, parameters)
+        adams.descend(loss, index / task.steps.shape, parameters)
         step()
 
 
@@ -399,8 +406,8 @@ class FreeDescent:
         free: Gaussians that the descent changes.
         shadow: their shadow, which it changes, too.
         poses: pose corrections of the track, which the descent goes on with.
-        seen: (N,) in [0, 1], how much of each Gaussian images of its own side show: those of the
-            other side leave it as it is.
+        seen: (N,) in [0, 1], how much of each that is drawn images of its own side show: those of
+            the other side leave it as it is.
 
     Attributes:
         index: number of steps done.
@@ -420,7 +427,7 @@ class FreeDescent:
         self.poses, self._seen = poses, seen
         self._parameters = {**free.changes, "poses": poses.values}
         self._parameters |= {f"shadow_{name}": one for name, one in shadow.changes.items()}
-        self._optimiser = _adam(self._parameters, REFINE.free_rates())
+        self._adams = AdamDescent(self._parameters, REFINE.free_rates())
         self.index, self._worse = 0, 0
         self.best, self.best_shadow, self.best_loss = free().detach(), shadow().detach(), math.inf
 
@@ -442,7 +449,7 @@ class FreeDescent:
         loss = loss + REFINE.strain_weight * self.poses.roughness()
         moved = {"sh", "shadow_sh", "shadow_logit_opacities"}
         moved = moved if self.index < self.task.steps.paint else set(self._parameters)
-        _descend(self._optimiser, loss, self.index / self.steps, moved)
+        self._adams.descend(loss, self.index / self.steps, moved)
         self.index += 1
         if self.index % self.task.steps.look_every == 0 or self.index == self.steps:
             self._look()
@@ -458,9 +465,7 @@ class FreeDescent:
     def state(self) -> tuple[dict[str, Tensor], dict[str, Any]]:
         """Tensors and numbers from which `load` goes on."""
         tensors = {f"value.{name}": value for name, value in self._parameters.items()}
-        for group in self._optimiser.param_groups:
-            kept = self._optimiser.state[group["params"][0]]
-            tensors |= {f"{key}.{group['name']}": value for key, value in kept.items()}
+        tensors |= {f"adam.{name}": value for name, value in self._adams.state_dict().items()}
         for kind, best in (("best", self.best), ("best_shadow", self.best_shadow)):
             tensors |= {f"{kind}.{name}": getattr(best, name) for name in FIELDS}
         return tensors, {"index": self.index, "worse": self._worse, "loss": self.best_loss}
@@ -470,13 +475,8 @@ class FreeDescent:
         with torch.no_grad():
             for name, value in self._parameters.items():
                 value.copy_(tensors[f"value.{name}"])
-        for group in self._optimiser.param_groups:
-            ending = f".{group['name']}"
-            self._optimiser.state[group["params"][0]] = {
-                key.removesuffix(ending): value
-                for key, value in tensors.items()
-                if key.endswith(ending) and not key.startswith(("value.", "best"))
-            }
+        adams = {name: one for name, one in tensors.items() if name.startswith("adam.")}
+        self._adams.load_state_dict({n.removeprefix("adam."): one for n, one in adams.items()})
         self.index, self._worse = int(numbers["index"]), int(numbers["worse"])
         self.best_loss = float(numbers["loss"])
         self.best, self.best_shadow = (
@@ -495,18 +495,45 @@ def _held(gaussians: Gaussians, share: Tensor) -> Gaussians:
     return Gaussians(**{name: held(getattr(gaussians, name)) for name in FIELDS})
 
 
-def _adam(parameters: dict[str, Tensor], rates: dict[str, float]) -> torch.optim.Adam:
-    groups = [
-        {"params": [value], "lr": rates[name], "rate": rates[name], "name": name}
-        for name, value in parameters.items()
-    ]
-    return torch.optim.Adam(groups, eps=1e-15)
+class AdamDescent:
+    """Adam of several tensors, whose rates fall together.
 
+    Args:
+        parameters: leaf tensors by name.
+        rates: their learning rates at first.
+    """
 
-def _descend(optimiser: torch.optim.Adam, loss: Tensor, share: float, moved: Iterable[str]) -> None:
-    """One step of the parameters `moved`, with rates that have fallen by `share` of the way."""
-    optimiser.zero_grad()
-    loss.backward()
-    for group in optimiser.param_groups:
-        group["lr"] = group["rate"] * REFINE.rate_fall**share if group["name"] in moved else 0.0
-    optimiser.step()
+    def __init__(self, parameters: dict[str, Tensor], rates: dict[str, float]) -> None:
+        self._adams = {
+            name: RowAdam({name: value}, {name: rates[name]}) for name, value in parameters.items()
+        }
+
+    def descend(self, loss: Tensor, share: float, moved: Iterable[str]) -> None:
+        """One step of the parameters `moved`, with rates that have fallen by `share` of the way."""
+        for name, adam in self._adams.items():
+            adam.params[name].grad = None
+        loss.backward()
+        fallen = REFINE.rate_fall**share
+        for name, adam in self._adams.items():
+            rate = fallen * adam.lrs[name] if name in moved else 0.0
+            rows = torch.ones(len(adam.params[name]), dtype=torch.bool)
+            adam.step(rows, {name: rate})
+
+    def state_dict(self) -> dict[str, Tensor]:
+        """Everything needed to go on but the parameters, as plain tensors."""
+        return {
+            f"{name}.{key}": value
+            for name, adam in self._adams.items()
+            for key, value in adam.state_dict().items()
+        }
+
+    def load_state_dict(self, state: dict[str, Tensor]) -> None:
+        """Go on from `state_dict`."""
+        for name, adam in self._adams.items():
+            adam.load_state_dict(
+                {
+                    key.removeprefix(f"{name}."): value
+                    for key, value in state.items()
+                    if key.startswith(f"{name}.")
+                }
+            )

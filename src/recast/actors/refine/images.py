@@ -301,6 +301,7 @@ class Visibility:
     own: Tensor  # (N,) float32 sum over all images, weighted as they are
     twin: Tensor  # (N,) the same sum of the mirrored vehicle
     shown: Tensor  # (N,) bool, which Gaussians themselves are in a picture, or mirrored in one
+    drawn: Tensor  # (N,) bool, which have any part in a picture, if only through others
 
     @property
     def shares(self) -> Shares:
@@ -319,7 +320,7 @@ class Visibility:
 
     def select(self, index: Tensor) -> Visibility:
         """That of the Gaussians at `index`."""
-        return Visibility(self.own[index], self.twin[index], self.shown[index])
+        return Visibility(self.own[index], self.twin[index], self.shown[index], self.drawn[index])
 
 
 def pixel_weights(
@@ -361,7 +362,8 @@ def visibility_of(
         REFINE.patch_px * min((_metres_a_pixel(view) for view in views), default=0.0),
     )
     patches = _Patches(gaussians.means.detach().numpy(), reach)
-    return Visibility(patches.sum(own), patches.sum(twin), (own + twin) > REFINE.shown_px)
+    shown, drawn = (own + twin > least for least in (REFINE.shown_px, REFINE.drawn_px))
+    return Visibility(patches.sum(own), patches.sum(twin), shown, drawn)
 
 
 class _Patches:

@@ -107,15 +107,16 @@ def refine(
     finer, visible = split(bent, *source), visible.select(torch.cat(source))
     freedom = visible.freedom(finer)
     moving = freedom > REFINE.least_freedom
-    order = torch.cat([moving.nonzero()[:, 0], (~moving).nonzero()[:, 0]])
+    drawn = moving | visible.drawn
+    order = torch.cat([one.nonzero()[:, 0] for one in (moving, drawn & ~moving, ~drawn)])
     finer, shares = finer.select(order), visible.shares.select(order)
-    free = FreeGaussians(finer, freedom[moving])
+    free = FreeGaussians(finer, freedom[moving], int(drawn.sum()))
     stood = [one.world_from_object for one in evidence.sightings]
     shadow = FreeShadow(shadow_sheet(replace(actor, gaussians=bent), scene, told, stood))
-    descent = FreeDescent(task, free, shadow, poses, shares.seen)
+    descent = FreeDescent(task, free, shadow, poses, shares.seen[: int(drawn.sum())])
     _descend(descent, _identity(actor, evidence, seed), checkpoint, counter)
 
-    refined = follow_paint(free.prior, descent.best, shares)
+    refined = follow_paint(free.prior, free.whole(descent.best), shares)
     loss_after = task.judged(refined, poses, descent.best_shadow)
     better = loss_after < loss_before
     report = Refinement(

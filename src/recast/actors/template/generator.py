@@ -79,6 +79,8 @@ _PART_TRUST = 0.25  # between styles: a whole pane that is off is one error, not
 # points tell its shape: an outline hardly tells a hatchback from an estate.
 _CLOSE, _SOLID_POINTS = 12.0, 100
 _ROUNDS = (STEPS, STEPS[1:])  # of parts and placement, each with the other
+SKETCHED = 0.028
+"""Edge in metres of the patches of a candidate, until it is chosen."""
 _SKETCH_SPACING = 0.035  # metres: enough for a silhouette
 _CELLS = (0.055, 0.03)  # metres: patches that look alike are merged in voxels of these edges
 _TOLERANCE = 0.03  # display values
@@ -107,23 +109,15 @@ class TemplateGenerator(BaseGenerator):
         self.style = style
 
     def candidates(self, observation: Observation, seed: int) -> Sequence[Callable[[], Asset]]:
-        """The body styles that fit LiDAR and outlines best, best first.
+        """Sketches of the body styles that fit LiDAR and outlines best, best first.
 
         Of several views, also what the best one gives alone.
         """
+        fits = _fits(observation, seed, self.style)[:_STYLES]
+        offered = [partial(self._sketch, observation, seed, [fit]) for fit in fits]
         if observation.further:
-            alone = partial(self.generate, replace(observation, further=()), seed)
-            return [*self._styles(observation, seed), alone]
-        return self._styles(observation, seed)
-
-    def _styles(self, observation: Observation, seed: int) -> list[Callable[[], Asset]]:
-        if self.style is not None:
-            return [partial(self.generate, observation, seed)]
-        fits = _fits(observation, np.random.default_rng(seed), None)
-        return [
-            partial(TemplateGenerator(self.spacing, fit.style).generate, observation, seed)
-            for fit in fits[:_STYLES]
-        ]
+            offered.append(partial(self._sketch, replace(observation, further=()), seed))
+        return offered
 
     def generate(self, observation: Observation, seed: int) -> Asset:
         """Build the vehicle; it fills the logged box. See `ActorGenerator.generate`.
@@ -131,24 +125,40 @@ class TemplateGenerator(BaseGenerator):
         A further view whose outline cannot be that of the vehicle is left out: `left_out` of the
         details counts these.
         """
+        fits = _fits(observation, seed, self.style)
+        return self._built(self._best(observation, seed, fits), seed, self.spacing)
+
+    def _sketch(
+        self, observation: Observation, seed: int, fits: list[ShapeFit] | None = None
+    ) -> Asset:
+        """The vehicle of the best fit, with coarse patches; its `finish` makes fine ones."""
+        fits = _fits(observation, seed, self.style) if fits is None else fits
+        best = self._best(observation, seed, fits)
+        sketch = self._built(best, seed, max(self.spacing, SKETCHED))
+        return replace(sketch, finish=partial(self._built, best, seed, self.spacing))
+
+    def _best(self, observation: Observation, seed: int, fits: list[ShapeFit]) -> PlacedTemplate:
+        """The fit whose parts and outline explain the views best, in those views that it can."""
         rng = np.random.default_rng(seed)
         spacing = max(self.spacing, _SKETCH_SPACING)
-        fits = _fits(observation, rng, self.style)
         close = _CLOSE if len(observation.points) < _SOLID_POINTS else 0.0
         likely = [fit for fit in fits[:_STYLES] if fit.cost <= fits[0].cost + close]
         placed = [_placed(observation, fit, spacing, rng) for fit in likely]
-        # half of a cost is nats
-        totals = [one.total - fit.cost / 2 for fit, one in zip(likely, placed, strict=True)]
-        best = int(np.argmax(totals))
-        fit, body, placements = likely[best], placed[best].body, placed[best].placements
-        least = placements[0].overlap - _LESS_OVERLAP
-        fitting = [one.overlap >= least for one in placements]
-        if not all(fitting):
-            kept = [one for one, fits in zip(observation.views, fitting, strict=True) if fits]
-            made = self.generate(replace(observation, further=tuple(kept[1:])), seed)
-            left_out = len(fitting) - sum(fitting) + int(made.details.get("left_out", 0))
-            return replace(made, details={**made.details, "left_out": left_out})
-        cloud = build_cloud(body, self.spacing, rng)
+        best = max(placed, key=lambda one: one.total)
+        least = best.placements[0].overlap - _LESS_OVERLAP
+        fitting = [one.overlap >= least for one in best.placements]
+        if all(fitting):
+            return best
+        kept = [one for one, fit in zip(observation.views, fitting, strict=True) if fit]
+        fewer = replace(observation, further=tuple(kept[1:]))
+        style = fits[0].style if len(fits) == 1 else self.style
+        again = self._best(fewer, seed, _fits(fewer, seed, style))
+        return replace(again, left_out=again.left_out + len(fitting) - sum(fitting))
+
+    def _built(self, placed: PlacedTemplate, seed: int, spacing: float) -> Asset:
+        """The vehicle of a placed template, with patches of an edge of `spacing` metres."""
+        observation, body, placements = placed.observation, placed.body, placed.placements
+        cloud = build_cloud(body, spacing, np.random.default_rng(seed))
         shown = [
             view_surface(cloud, view, placement)
             for view, placement in zip(observation.views, placements, strict=True)
@@ -168,7 +178,7 @@ class TemplateGenerator(BaseGenerator):
         ]
         panes = estimate_windows(cloud, clear, light)
         texture = mirrored_texture(cloud, seen)
-        distance = fit.median_distance
+        distance = placed.fit.median_distance
         measured = {"median_lidar_distance_m": round(distance, 4)} if np.isfinite(distance) else {}
         return Asset(
             gaussians=vehicle_gaussians(body, cloud.dyed(panes, rims), paint, light, texture),
@@ -176,7 +186,7 @@ class TemplateGenerator(BaseGenerator):
             generator=self.name,
             seed=seed,
             details={
-                "style": fit.style,
+                "style": placed.fit.style,
                 "views": len(views),
                 "paint_srgb": " ".join(f"{v:.3f}" for v in linear_to_gamma(paint)),
                 "light": round(light.level, 3),
@@ -188,6 +198,7 @@ class TemplateGenerator(BaseGenerator):
                 "rims": round(rims, 3),
                 **measured,
                 **({"doubts": doubts} if doubts else {}),
+                **({"left_out": placed.left_out} if placed.left_out else {}),
                 "silhouette_overlap": round(float(np.mean([one.overlap for one in placements])), 4),
                 "seen_share": round(float((seen.weight > 0.5).mean()), 4),
             },
@@ -215,15 +226,19 @@ def _doubts(cloud: SurfaceCloud, view: SurfaceView, light: Daylight, paint: Arra
 class PlacedTemplate:
     """A body with its parts where the views show them."""
 
+    observation: Observation
+    fit: ShapeFit
     body: TemplateBody
     placements: tuple[TemplatePlacement, ...]  # placement in each view
     agreement: float  # nats by which its parts explain the views
+    left_out: int = 0  # further views that it cannot be in
 
     @property
     def total(self) -> float:
-        """Nats by which parts and outlines speak for it, to be compared between styles."""
+        """Nats by which parts, outlines and fit speak for it, to be compared between styles."""
         missed = sum(1 - one.overlap for one in self.placements)
-        return _PART_TRUST * self.agreement - OVERLAP_WEIGHT * missed
+        nats = self.fit.cost / 2  # a cost is in halves of nats
+        return _PART_TRUST * self.agreement - OVERLAP_WEIGHT * missed - nats
 
 
 def _placed(
@@ -257,7 +272,7 @@ def _placed(
         ]
         placements = tuple(one.placement for one in moved)
         agreement = sum(one.agreement for one in moved)
-    return PlacedTemplate(body, placements, agreement)
+    return PlacedTemplate(observation, fit, body, placements, agreement)
 
 
 def _consistent(
@@ -293,8 +308,9 @@ def _modelled(cloud: SurfaceCloud, paint: Array, light: Daylight, view: SurfaceV
     return shade(albedo, np.ones(count), cloud.normals, cloud.points[:, 2], view.views, light)
 
 
-def _fits(observation: Observation, rng: np.random.Generator, style: str | None) -> list[ShapeFit]:
+def _fits(observation: Observation, seed: int, style: str | None) -> list[ShapeFit]:
     outlines = [contour(view) for view in observation.views]
+    rng = np.random.default_rng(seed)
     return fit_shapes(
         observation.category, observation.size, observation.points, rng, style, outlines
     )

@@ -150,12 +150,15 @@ def fit_harmonics(
     views = view_directions()
     basis = sh_basis(-views)
     facing = np.sqrt(np.clip(normals @ views.T, 0.0, None)) * (1.2 - views[:, 2])
-    normal = np.einsum("nv,vi,vj->nij", facing, basis, basis)
-    right = np.zeros((len(normals), 4, 3))
-    for v, view in enumerate(views):
+    squares = np.einsum("vi,vj->vij", basis, basis).reshape(len(views), 16)
+    normal = (facing @ squares).reshape(-1, 4, 4)
+    colours = np.zeros((len(views), 3, len(normals)), np.float32)
+    single = [np.asarray(value, np.float32) for value in (albedo, gloss, normals, heights)]
+    for v, view in enumerate(views.astype(np.float32)):
         seen = np.flatnonzero(facing[:, v] > 0)
-        colour = shade(albedo[seen], gloss[seen], normals[seen], heights[seen], view[None], light)
-        right[seen] += (facing[seen, v, None] * basis[v])[:, :, None] * (colour - 0.5)[:, None, :]
+        colour = shade(*(value[seen] for value in single), view[None], light)
+        colours[v][:, seen] = (facing[seen, v, None] * (colour - 0.5)).T
+    right = np.tensordot(colours, basis, (0, 0)).transpose(1, 2, 0)
     # a Gaussian seen from nowhere takes this ridge's target: its diffuse colour in the shade
     ridge = np.array([1e-3, 0.15, 0.15, 0.15])
     right[:, 0] += ridge[0] * (linear_to_gamma(0.3 * light.level * albedo) - 0.5) / C0
@@ -245,8 +248,9 @@ def _split(
     trust = np.ones(len(prior))
     for _ in range(15):
         pulled = trust[:, None] * prior
-        normal = np.einsum("ncu,nc,ncv->uv", rows, share, rows) + pulled.T @ prior
-        right = np.einsum("ncu,nc,nc->u", rows, share, found) + pulled.T @ target
+        weighted = (rows * share[..., None]).reshape(-1, 6)
+        normal = weighted.T @ rows.reshape(-1, 6) + pulled.T @ prior
+        right = weighted.T @ found.ravel() + pulled.T @ target
         root = np.linalg.cholesky(normal + 1e-9 * np.eye(6))
         answer = nnls(root.T, np.linalg.solve(root, right))[0]
         share = base / np.maximum(np.abs(found - rows @ answer) / spread, 1.0)
