@@ -185,12 +185,12 @@ Sha256 = Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]
 
 _PACKAGE = Path(__file__).parents[1]
 _SHIPPED = {
-    "recast-mini": (_PACKAGE / "trellis", "--model"),
-    "recast-parametric": (_PACKAGE / "actors/parametric", ""),
-    "gtrs-mini": (_PACKAGE / "planning", "--start"),
-    "gtrs-mini-oracle": (_PACKAGE / "planning", "--start"),
+    "recast-mini": (_PACKAGE / "trellis", ("--model",)),
+    "recast-parametric": (_PACKAGE / "actors/parametric", ()),
+    "gtrs-mini": (_PACKAGE / "planning", ("--start", "--driver")),
+    "gtrs-mini-oracle": (_PACKAGE / "planning", ("--start", "--driver")),
 }
-"""Networks that come with the package: name to the folder above and the option that takes it."""
+"""Networks that come with the package: name to the folder above and the options that take it."""
 
 
 def shipped_folder(name: str) -> Path:
@@ -242,7 +242,7 @@ def located(option: str, value: Path | None) -> Path | None:
     if value is None or value.exists():
         return value
     name = str(value)
-    shipped = [name for name, (_, taker) in _SHIPPED.items() if taker == option]
+    shipped = [name for name, (_, takers) in _SHIPPED.items() if option in takers]
     if name in shipped:
         return shipped_folder(name)
     names = [*shipped, *(name for name, entry in PUBLISHED.items() if option in entry.options)]

@@ -60,9 +60,9 @@ def config(steps: int, **changes: object) -> PlannerTrainingConfig:
 
 def test_a_killed_training_ends_in_the_same_bytes(small_dataset: Path, tmp_path: Path) -> None:
     whole, parts = tmp_path / "whole", tmp_path / "parts"
-    reached = train_planner(small_dataset, whole, config(6), QUIET)
-    train_planner(small_dataset, parts, config(3), QUIET)  # a constant rate may go on
-    train_planner(small_dataset, parts, config(6), QUIET)
+    reached = train_planner([small_dataset], whole, config(6), QUIET)
+    train_planner([small_dataset], parts, config(3), QUIET)  # a constant rate may go on
+    train_planner([small_dataset], parts, config(6), QUIET)
     with_settings = [(folder / STATE_FILE).read_bytes() for folder in (whole, parts)]
     assert with_settings[0] == with_settings[1]
     lines = [
@@ -75,7 +75,7 @@ def test_a_killed_training_ends_in_the_same_bytes(small_dataset: Path, tmp_path:
     assert 0.0 <= reached.score <= 1.0
     assert (whole / "sheets" / "0000004.png").exists()
 
-    planner = export_planner(whole, small_dataset, tmp_path / "planner")
+    planner = export_planner(whole, [small_dataset], tmp_path / "planner")
     loaded = make_planner(str(tmp_path / "planner"))
     assert loaded.name == "planner"
     half = {
@@ -103,44 +103,44 @@ def test_reconstructed_samples_can_be_left_out(small_dataset: Path, tmp_path: Pa
         ("all", mixed, False),
     ):
         out = tmp_path / name
-        train_planner(folder, out, config(3, oracle_only=oracle_only), QUIET)
+        train_planner([folder], out, config(3, oracle_only=oracle_only), QUIET)
         states[name] = (out / STATE_FILE).read_bytes()
     assert states["left out"] == states["alone"]
     assert states["all"] != states["alone"]
     with pytest.raises(InputError, match="samples"):  # a training is of one kind
-        train_planner(mixed, tmp_path / "all", config(3, oracle_only=True), QUIET)
+        train_planner([mixed], tmp_path / "all", config(3, oracle_only=True), QUIET)
 
 
 def test_another_training_in_the_same_folder_is_refused(
     small_dataset: Path, tmp_path: Path
 ) -> None:
     out = tmp_path / "training"
-    train_planner(small_dataset, out, config(2), QUIET)
+    train_planner([small_dataset], out, config(2), QUIET)
     with pytest.raises(InputError, match="config"):
-        train_planner(small_dataset, out, config(2, batch=2), QUIET)
+        train_planner([small_dataset], out, config(2, batch=2), QUIET)
     with pytest.raises(InputError, match="exists"):
-        export_planner(out, small_dataset, out)
+        export_planner(out, [small_dataset], out)
     (tmp_path / "other").mkdir()
     (tmp_path / "other" / "file").touch()
     with pytest.raises(InputError, match="something else"):
-        train_planner(small_dataset, tmp_path / "other", config(2), QUIET)
+        train_planner([small_dataset], tmp_path / "other", config(2), QUIET)
 
 
 def test_a_training_may_begin_from_a_planner(small_dataset: Path, tmp_path: Path) -> None:
     first, then = tmp_path / "first", tmp_path / "then"
-    train_planner(small_dataset, first, config(4), QUIET)
-    export_planner(first, small_dataset, tmp_path / "planner")
+    train_planner([small_dataset], first, config(4), QUIET)
+    export_planner(first, [small_dataset], tmp_path / "planner")
     still = config(2).model_copy(update={"trainer": TrainerSettings(steps=2, lr=1e-9)})
-    train_planner(small_dataset, then, still, QUIET, tmp_path / "planner")
+    train_planner([small_dataset], then, still, QUIET, tmp_path / "planner")
     begun = make_planner(str(tmp_path / "planner")).model
-    ended = export_planner(then, small_dataset, tmp_path / "ended").model
+    ended = export_planner(then, [small_dataset], tmp_path / "ended").model
     for name, value in begun.named_parameters():
         torch.testing.assert_close(ended.state_dict()[name], value, rtol=0, atol=1e-6)
     with pytest.raises(InputError, match="start_sha256"):  # it is another training without it
-        train_planner(small_dataset, then, still, QUIET)
+        train_planner([small_dataset], then, still, QUIET)
     with pytest.raises(InputError, match="other network sizes"):
         bigger = still.model_copy(update={"network": MINI})
-        train_planner(small_dataset, tmp_path / "third", bigger, QUIET, tmp_path / "planner")
+        train_planner([small_dataset], tmp_path / "third", bigger, QUIET, tmp_path / "planner")
 
 
 def test_a_batch_holds_every_speed_of_a_picture(small_dataset: Path) -> None:
@@ -175,7 +175,7 @@ def test_it_learns_to_look(small_dataset: Path, tmp_path: Path) -> None:
     training = config(80, sheet_every=0, judged=2, batch=4).model_copy(
         update={"trainer": TrainerSettings(steps=80, lr=5e-3, clip=2.0, log_every=80)}
     )
-    reached = train_planner(small_dataset, tmp_path / "out", training, QUIET)
+    reached = train_planner([small_dataset], tmp_path / "out", training, QUIET)
     assert reached.gap > 0.0
     assert reached.slower > 0.0
 

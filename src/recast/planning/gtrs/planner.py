@@ -213,7 +213,7 @@ class GtrsPlanner(BasePlanner):
             trajectories, weights = np.concatenate([trajectories, extra]), COMBINED
         elif proposals_only:
             raise ValueError("GtrsPlanner.decide: proposals_only needs proposals")
-        decision = self._score(stitched, status, trajectories, weights)
+        decision = self.score(stitched, status, trajectories, weights)
         return replace(decision, first=len(self.vocabulary)) if proposals_only else decision
 
     def _fit(self, mounts: Mapping[str, CameraMount]) -> ViewLayout:
@@ -237,13 +237,23 @@ class GtrsPlanner(BasePlanner):
         return self.views.fitted(sizes, self._who).model_copy(update={"cameras": names})
 
     @torch.no_grad()
-    def _score(
+    def score(
         self,
         stitched: np.ndarray,
         status: np.ndarray,
         trajectories: Trajectories,
         weights: ScoreWeights,
     ) -> GtrsDecision:
+        """Score trajectories against a picture.
+
+        Args:
+            stitched: (H, W, 3) uint8, see `ViewLayout.stitch`.
+            status: (8,) see `ego_status`.
+            trajectories: (N, 40, 3), see `check_vocabulary`.
+
+        Raises:
+            InputError: the network's answer is not finite.
+        """
         device = self.model.device
         logits = self.model(
             network_input(stitched)[None].to(device),

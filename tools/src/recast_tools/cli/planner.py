@@ -44,6 +44,14 @@ class Dataset:
     """Folder of the samples; a folder of the same settings grows."""
     samples: int = 8000
     """Minimum number of samples; worlds are made whole."""
+    driver: Annotated[
+        Path | None,
+        shared.option(
+            "Folder of the planner that drives every second drive, or gtrs-mini or "
+            "gtrs-mini-oracle (in the package): the samples show what it comes to.",
+            "an expert that knows the scores drives all",
+        ),
+    ] = None
     seed: Annotated[int, shared.SEED] = 0
     per_world: int = 32
     """Number of samples of each world."""
@@ -63,11 +71,15 @@ class Dataset:
         from recast.core.diagnostics import ProgressBar
         from recast.core.records import validation_error
         from recast.planning.gtrs import read_vocabulary
+        from recast.planning.gtrs.planner import CONFIG_FILE, WEIGHTS_FILE
+        from recast.recar.training import hash_files
         from recast.synthetic import SCENES
+        from recast.weights import located
         from recast_tools.planner_data.dataset import make_dataset
         from recast_tools.planner_training.samples import DatasetRecord, SampleStore
 
         console = console_for(False)
+        driver = located("--driver", self.driver)
         try:
             record = DatasetRecord(
                 seed=self.seed,
@@ -75,6 +87,9 @@ class Dataset:
                 scenes=SCENES,
                 reconstructed=self.reconstructed,
                 street_steps=self.street_steps,
+                driver=""
+                if driver is None
+                else hash_files(driver, [driver / WEIGHTS_FILE, driver / CONFIG_FILE]),
             )
         except ValidationError as error:
             raise validation_error("options", error, "give a value in range") from None
@@ -85,6 +100,7 @@ class Dataset:
                 self.samples,
                 record,
                 vocabulary,
+                driver=driver,
                 store=self.store,
                 workers=self.workers,
                 progress=progress,
@@ -123,8 +139,12 @@ class PlannerShow:
 class PlannerTrain:
     """Train the small planner on samples; the same command resumes, with the same result."""
 
-    dataset: Path
-    """Folder of `recast planner dataset`. Every tenth world is held out."""
+    dataset: Annotated[
+        tyro.conf.UseAppendAction[tuple[Path, ...]],
+        shared.option(
+            "Folder of `recast planner dataset`. May be repeated. Every tenth world is held out."
+        ),
+    ]
     out: Path
     """Folder of the training."""
     config: Annotated[
@@ -174,8 +194,12 @@ class PlannerExport:
 
     training: tyro.conf.Positional[Path]
     """Folder of `recast planner train`; the training may be unfinished."""
-    dataset: Path
-    """Folder of `recast planner dataset` that the planner was trained on."""
+    dataset: Annotated[
+        tyro.conf.UseAppendAction[tuple[Path, ...]],
+        shared.option(
+            "Folder of `recast planner dataset`; those of the training, in the same order."
+        ),
+    ]
     out: Path
     """Folder to write; must not exist."""
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shutil
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
@@ -19,12 +20,14 @@ from recast.core.records import read_record
 from recast.core.workers import worker_pool
 from recast.dynamics import state as ego
 from recast.geometry import se2
+from recast.planning.gtrs import load_gtrs
 from recast.planning.gtrs.scores import Trajectories, read_vocabulary, write_vocabulary
 from recast.planning.types import ego_status
 from recast.runs.run_folder import STORE_FOLDER
 from recast.synthetic import make_world
 from recast.synthetic.world import make_rig
 from recast.synthetic.write import Oracle
+from recast_tools.planner_data.drive import SampleSituation, begin_drive
 from recast_tools.planner_data.reconstruction import (
     RECONSTRUCTED,
     Reconstruction,
@@ -32,10 +35,10 @@ from recast_tools.planner_data.reconstruction import (
     reconstruct,
     traced,
 )
-from recast_tools.planner_data.situation import SampleSituation, draw_situation
 from recast_tools.planner_data.stage import SampleStage, make_stage
 from recast_tools.planner_training.samples import (
     CLUES,
+    DRIVER_FOLDER,
     MEND,
     RECORD_FILE,
     VERSION,
@@ -46,7 +49,7 @@ from recast_tools.planner_training.samples import (
     world_folder,
     write_world,
 )
-from recast_tools.planner_training.targets import score_vocabulary
+from recast_tools.planner_training.targets import TrajectoryTargets, score_vocabulary
 from recast_tools.planner_training.task import HALF_VIEWS
 from recast_tools.planner_training.vocabulary import mirror_index
 
@@ -56,10 +59,14 @@ _SEEN = np.deg2rad(68.0)
 FIRST_SEED = 1000
 """First seed of training worlds; those below are for evaluation."""
 _WORLDS_PER_SEED = 100_000
-_WITH_ACTOR = 0.86
-_TWIN = 0.42
-"""Share of second samples that are the first one's without its vehicle. With it 70 % of all
-samples have a vehicle placed."""
+_TWIN = 0.3
+"""Share of the samples with a vehicle in sight that are made once more without it."""
+_MOST_DRIVES = 20
+"""Drives for each sample of a world, after which it has no room for them."""
+_PLANNER_DRIVES = 0.5
+_MISTAKEN, _LIKE = 0.25, 1.0
+"""Share of the expert's moments in which it drives any trajectory, and m/s by which the speed at
+which that one begins may differ from the ego's."""
 
 
 def make_dataset(
@@ -68,6 +75,7 @@ def make_dataset(
     record: DatasetRecord,
     vocabulary: Trajectories,
     *,
+    driver: Path | None = None,
     store: str | Path | None = None,
     workers: int = 1,
     progress: Progress | None = None,
@@ -77,6 +85,8 @@ def make_dataset(
     The files are the same for any number of workers and of interruptions.
 
     Args:
+        driver: folder of a GTRS planner that drives every second drive, whose hash the record has;
+            it is copied to `out`. The expert drives all if None.
         store: folder or address of the logs, streets and vehicles of reconstructed worlds; `store/`
             beside `out` if None.
 
@@ -93,7 +103,7 @@ def make_dataset(
     require_range(1, samples=count, workers=workers)
     require_embree()
     mirror_index(vocabulary)
-    _open(out, record, vocabulary)
+    _open(out, record, vocabulary, driver)
     worlds = -(-count // record.per_world)
     left = [i for i in range(worlds) if not world_folder(out, i).exists()]
     done, numbers = worlds - len(left), iter(left)
@@ -119,13 +129,15 @@ def _start(worker: int, out: Path, record: DatasetRecord, store: str) -> Callabl
 
 
 def make_world_samples(out: Path, number: int, record: DatasetRecord, store: Store) -> None:
-    """Make the samples of one world; they depend on the record, the vocabulary and the number.
+    """Make the samples of one world; they depend on the record, the vocabulary, the driver and the
+    number.
 
     A world whose log shows too little of its target is rendered by the oracle, too.
     """
     scene = record.scene_of(number)
     seed = FIRST_SEED + _WORLDS_PER_SEED * record.seed + number
     vocabulary = read_vocabulary(out / VOCABULARY_FILE)
+    driver = Driver(vocabulary, out / DRIVER_FOLDER if record.driver else None)
     shown = None
     if record.is_reconstructed(number):
         shown = reconstruct(make_world(scene, seed, record.seconds), store, record.street_steps)
@@ -133,19 +145,79 @@ def make_world_samples(out: Path, number: int, record: DatasetRecord, store: Sto
     oracle = Oracle(stage.world) if shown is None else None
     samples: list[Sample] = []
     twins: list[int] = []
-    before: SampleSituation | None = None
+    drives = 0
     while len(samples) < record.per_world:
-        index = len(samples)
-        rng = np.random.default_rng([seed, record.seed, index])
-        situation, twin = _next(stage, before, index, record.speeds, rng)
-        renderer, paint = _painter(shown, oracle, number + index // 2, rng)
-        image = render(paint, stage, situation)
-        samples.append(describe(stage, situation, image, renderer, vocabulary))
-        twins.append(index - 1 if twin else -1)
-        if twin:
-            twins[index - 1] = index
-        before = situation
+        rng = np.random.default_rng([seed, record.seed, drives])
+        renderer, paint = _painter(shown, oracle, number + drives, rng)
+        drive = begin_drive(stage, rng)
+        drives += 1
+        if drives > _MOST_DRIVES * record.per_world:
+            raise InputError(
+                stage.world.name,
+                f"seed {stage.world.seed}",
+                "has no room for the ego",
+                "use another `seed`; please report this, it should not happen",
+            )
+        driver.begin(rng)
+        while drive is not None and len(samples) < record.per_world:
+            situation = drive.situation(record.speeds, rng)
+            if situation is None:
+                break
+            image = render(paint, stage, situation)
+            sample, targets = describe(stage, situation, image, renderer, vocabulary)
+            if targets.total.max() <= 0.0:  # nothing helps any more: not even the expert knows
+                break
+            samples.append(sample)
+            twins.append(-1)
+            there = situation.actor is not None and sample.clues[0] > 0
+            if there and len(samples) < record.per_world and rng.uniform() < _TWIN:
+                alone = situation.without_actor()
+                image = render(paint, stage, alone)
+                samples.append(describe(stage, alone, image, renderer, vocabulary)[0])
+                twins[-1] = len(samples) - 1
+                twins.append(len(samples) - 2)
+            drive.go(driver.choose(sample, targets, rng).astype(np.float64))
     write_world(world_folder(out, number), samples, twins)
+
+
+class Driver:
+    """Who drives a drive on: an expert that knows the scores, or a planner that sees the image.
+
+    The expert takes the best trajectory, and in `_MISTAKEN` of the moments any other that begins at
+    the ego's speed: so samples come from beside the best states, too. With a planner, it drives
+    every second drive.
+
+    Args:
+        planner: folder of a GTRS planner; None for the expert alone.
+    """
+
+    def __init__(self, vocabulary: Trajectories, planner: Path | None) -> None:
+        self._vocabulary = vocabulary
+        self._planner = None if planner is None else load_gtrs(planner)
+        self._sees = False
+
+    def begin(self, rng: np.random.Generator) -> None:
+        """Choose who drives the next drive."""
+        self._sees = self._planner is not None and bool(rng.uniform() < _PLANNER_DRIVES)
+
+    def choose(
+        self, sample: Sample, targets: TrajectoryTargets, rng: np.random.Generator
+    ) -> NDArray[np.float32]:
+        """The trajectory (40, 3) to be followed from a sample, at its first speed."""
+        if self._sees:
+            assert self._planner is not None
+            planner = self._planner
+            seen = planner.score(
+                sample.image, sample.status[0], planner.vocabulary, planner.weights
+            )
+            return seen.trajectories[seen.best]
+        if rng.uniform() < _MISTAKEN:
+            begins = self._vocabulary[:, 0, 0] / 0.1  # m/s
+            like = np.abs(begins - sample.status[0, 4]) < _LIKE
+            possible = np.flatnonzero(like & (targets.scores[[1, 4, 5]] > 0).all(axis=0))  # in lane
+            if len(possible):
+                return self._vocabulary[int(rng.choice(possible))]
+        return self._vocabulary[targets.best]
 
 
 def _painter(
@@ -159,32 +231,7 @@ def _painter(
     return renderer, shown.painter(renderer)
 
 
-def _next(
-    stage: SampleStage,
-    before: SampleSituation | None,
-    index: int,
-    speeds: int,
-    rng: np.random.Generator,
-) -> tuple[SampleSituation, bool]:
-    """A situation, and whether it is the one before without its vehicle."""
-    second = index % 2 == 1
-    if second and before is not None and before.actor is not None and rng.uniform() < _TWIN:
-        return before.without_actor(), True
-    with_actor = bool(rng.uniform() < _WITH_ACTOR)
-    found = draw_situation(stage, with_actor, speeds, rng)
-    if found is None:  # no room for a vehicle in this street: an empty one, then
-        found = draw_situation(stage, False, speeds, rng)
-    if found is None:
-        raise InputError(
-            stage.world.name,
-            f"seed {stage.world.seed}",
-            "has no room for the ego",
-            "use another `seed`; please report this, it should not happen",
-        )
-    return found, False
-
-
-def _open(out: Path, record: DatasetRecord, vocabulary: Trajectories) -> None:
+def _open(out: Path, record: DatasetRecord, vocabulary: Trajectories, driver: Path | None) -> None:
     path = out / RECORD_FILE
     if path.exists():
         if read_record(path, DatasetRecord, VERSION, MEND, record.format) != record:
@@ -194,10 +241,13 @@ def _open(out: Path, record: DatasetRecord, vocabulary: Trajectories) -> None:
                 out / VOCABULARY_FILE, "vocabulary", "differs from that of this command", MEND
             )
         return
-    # A kill may have left the vocabulary without the record.
-    if out.exists() and any(entry.name != VOCABULARY_FILE for entry in out.iterdir()):
+    # A kill may have left the others without the record.
+    first = {VOCABULARY_FILE, DRIVER_FOLDER}
+    if out.exists() and any(entry.name not in first for entry in out.iterdir()):
         raise InputError(out, "output folder", "contains other files", "choose another folder")
     write_vocabulary(out / VOCABULARY_FILE, vocabulary)
+    if driver is not None:
+        shutil.copytree(driver, out / DRIVER_FOLDER, dirs_exist_ok=True)
     write_json(path, record.model_dump(mode="json"))  # last: where it is, the vocabulary is
 
 
@@ -234,13 +284,13 @@ def describe(
     image: Image,
     renderer: Renderer,
     vocabulary: Trajectories,
-) -> Sample:
-    """The sample of a situation and its picture."""
+) -> tuple[Sample, TrajectoryTargets]:
+    """The sample of a situation and its picture, and what was scored at its first speed."""
     targets = [
         score_vocabulary(vocabulary, state, stage.road, situation.obstacles)
         for state in situation.states
     ]
-    return Sample(
+    sample = Sample(
         image=image,
         status=np.stack([ego_status(situation.command, state) for state in situation.states]),
         scores=np.stack([found.scores for found in targets]),
@@ -248,6 +298,7 @@ def describe(
         clues=_clues(stage, situation),
         renderer=renderer,
     )
+    return sample, targets[0]
 
 
 def _clues(stage: SampleStage, situation: SampleSituation) -> NDArray[np.float32]:

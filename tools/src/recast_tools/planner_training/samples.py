@@ -22,9 +22,9 @@ from recast.core.files import atomic_folder
 from recast.core.records import Record, read_record
 from recast.planning.gtrs.scores import Trajectories, read_vocabulary
 
-RECORD_FILE, VOCABULARY_FILE = "dataset.json", "vocabulary.npy"
-VERSION: Literal[3] = 3
-"""Version of the format; version 1 did not say what rendered an image."""
+RECORD_FILE, VOCABULARY_FILE, DRIVER_FOLDER = "dataset.json", "vocabulary.npy", "driver"
+VERSION: Literal[4] = 4
+"""Version of the format; until version 3, samples were drawn and not driven."""
 MEND = "name another folder, or make the samples again"
 CLUES = (
     "present",
@@ -70,17 +70,19 @@ class DatasetRecord(Record):
         scenes: names of scenes, which the worlds take in turn.
         reconstructed: share of the worlds whose images are those of a reconstructed street.
         street_steps: training steps of each of these streets.
+        driver: SHA-256 of the weights of the planner that drives every second drive; "" without.
     """
 
     format: Literal["recast-planner-dataset"] = "recast-planner-dataset"
-    version: Literal[3] = VERSION
+    version: Literal[4] = VERSION
     seed: int = Field(default=0, ge=0)
     per_world: int = Field(default=32, ge=2)
-    speeds: int = Field(default=3, ge=1)
+    speeds: int = Field(default=2, ge=1)
     seconds: float = Field(default=16.0, ge=14.0, le=20.0)
     scenes: tuple[str, ...] = Field(min_length=1)
     reconstructed: float = Field(default=0.0, ge=0.0, le=1.0)
     street_steps: int = Field(default=1000, ge=1)
+    driver: str = ""
 
     def scene_of(self, number: int) -> str:
         """The scene of a world."""
@@ -136,33 +138,40 @@ def write_world(folder: Path, samples: Sequence[Sample], twins: Sequence[int]) -
 
 
 class SampleStore:
-    """All samples of a dataset folder; pictures stay on disk until they are looked at.
+    """All samples of dataset folders; pictures stay on disk until they are looked at.
 
     Args:
-        folder: folder that `recast planner dataset` wrote.
+        folders: folders that `recast planner dataset` wrote for the same vocabulary.
 
     Raises:
-        InputError: it has no samples, its record or a world's files are wrong.
+        InputError: one has no samples, its record or a world's files are wrong, or its vocabulary
+            or its number of speeds is not that of the first.
 
     Attributes:
-        record, vocabulary: record and vocabulary of the folder.
+        folder, record, vocabulary: the first folder, its record and vocabulary.
         worlds: (N,) number of each sample's world.
         status, scores, best, clues: values of all samples, see `Sample`.
         renderer: (N,) index in `RENDERERS` of what rendered each image.
         twin: (N,) index of the sample that differs in the vehicle alone, or -1.
     """
 
-    def __init__(self, folder: Path) -> None:
-        self.folder = folder
-        self.record = read_record(
-            folder / RECORD_FILE, DatasetRecord, VERSION, MEND, "recast-planner-dataset"
-        )
-        self.vocabulary: Trajectories = read_vocabulary(folder / VOCABULARY_FILE)
-        paths = sorted(folder.glob("world-*"))
-        if not paths:
-            raise InputError(
-                folder, "samples", "are missing", "make them with `recast planner dataset`"
-            )
+    def __init__(self, *folders: Path) -> None:
+        self.folder = folders[0]
+        self.record, self.vocabulary = read_dataset(self.folder)
+        paths = []
+        for folder in folders:
+            record, vocabulary = read_dataset(folder)
+            if record.speeds != self.record.speeds:
+                problem = f"is {record.speeds}, but {self.record.speeds} in {self.folder}"
+                raise InputError(folder / RECORD_FILE, "speeds", problem, MEND)
+            if not np.array_equal(vocabulary, self.vocabulary):
+                problem = f"differs from that of {self.folder}"
+                raise InputError(folder / VOCABULARY_FILE, "vocabulary", problem, MEND)
+            found = sorted(folder.glob("world-*"))
+            if not found:
+                mend = "make them with `recast planner dataset`"
+                raise InputError(folder, "samples", "are missing", mend)
+            paths += found
         self._images: list[NDArray[np.uint8]] = []
         parts: dict[str, list[np.ndarray]] = {name: [] for name in _MEMBERS}
         worlds, first = [], 0
@@ -205,6 +214,14 @@ class SampleStore:
     def held_out(self) -> NDArray[np.bool_]:
         """(N,) samples of the worlds that are not trained on."""
         return self.worlds % HELD_OUT_EVERY == HELD_OUT_EVERY - 1
+
+
+def read_dataset(folder: Path) -> tuple[DatasetRecord, Trajectories]:
+    """Record and vocabulary of a folder. Raises InputError: it is none of `recast planner
+    dataset`."""
+    name = folder / RECORD_FILE
+    record = read_record(name, DatasetRecord, VERSION, MEND, "recast-planner-dataset")
+    return record, read_vocabulary(folder / VOCABULARY_FILE)
 
 
 def _read_world(path: Path) -> tuple[NDArray[np.uint8], dict[str, np.ndarray]]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
@@ -53,7 +54,7 @@ class PlannerTrainingRecord(Record):
 
     Attributes:
         config: configuration of the training.
-        dataset_sha256: SHA-256 of the dataset's record and vocabulary; worlds may be added between
+        dataset_sha256: SHA-256 of each dataset's record and vocabulary; worlds may be added between
             two trainings, not during one.
         samples: number of samples that are trained on.
         held_out: number of samples that are held out.
@@ -67,7 +68,7 @@ class PlannerTrainingRecord(Record):
     format: Literal["recast-planner-training"] = "recast-planner-training"
     version: Literal[1] = 1
     config: PlannerTrainingConfig
-    dataset_sha256: str
+    dataset_sha256: list[str]
     samples: int
     held_out: int
     parameters: int
@@ -86,7 +87,7 @@ class _Setting:
 
 
 def train_planner(
-    dataset: Path,
+    datasets: Sequence[Path],
     out: Path,
     config: PlannerTrainingConfig,
     console: Console,
@@ -98,13 +99,14 @@ def train_planner(
     `planner_training.json`.
 
     Args:
+        datasets: folders of samples for one vocabulary, such as those of one driver after another.
         start: folder of a GTRS planner of the same sizes, whose weights are the first; None: drawn.
 
     Raises:
-        InputError: the dataset is too small or broken, `start` is no such planner, or `out` holds
-            another training.
+        InputError: the datasets are too small or broken, or do not go together, `start` is no such
+            planner, or `out` holds another training.
     """
-    setting = _open(dataset, config, start)
+    setting = _open(datasets, config, start)
     _check_same(out, setting.record)
     out.mkdir(parents=True, exist_ok=True)
     write_json(out / TRAINING_FILE, setting.record.model_dump(mode="json"))
@@ -139,7 +141,7 @@ def train_planner(
     return reached
 
 
-def export_planner(training: Path, dataset: Path, out: Path) -> GtrsPlanner:
+def export_planner(training: Path, datasets: Sequence[Path], out: Path) -> GtrsPlanner:
     """Write the planner of a training, finished or not, as a folder in float16; it has its name.
 
     Raises:
@@ -152,7 +154,7 @@ def export_planner(training: Path, dataset: Path, out: Path) -> GtrsPlanner:
         "name a folder that recast planner train wrote",
         "recast-planner-training",
     )
-    setting = _open(dataset, found.config)
+    setting = _open(datasets, found.config)
     begun = setting.record.model_copy(update={"start_sha256": found.start_sha256})
     _check_same(training, begun)
     trainer = found.config.trainer
@@ -172,8 +174,10 @@ def export_planner(training: Path, dataset: Path, out: Path) -> GtrsPlanner:
     return planner
 
 
-def _open(dataset: Path, config: PlannerTrainingConfig, start: Path | None = None) -> _Setting:
-    store = SampleStore(dataset)
+def _open(
+    datasets: Sequence[Path], config: PlannerTrainingConfig, start: Path | None = None
+) -> _Setting:
+    store = SampleStore(*datasets)
     used = np.ones(len(store), np.bool_)
     if config.oracle_only:
         used = store.renderer == RENDERERS.index("oracle")
@@ -181,7 +185,7 @@ def _open(dataset: Path, config: PlannerTrainingConfig, start: Path | None = Non
     held_out = np.flatnonzero(used & store.held_out)
     if len(train_on) < config.batch or len(held_out) < 2:
         raise InputError(
-            dataset,
+            datasets[0],
             "samples",
             f"{len(train_on)} for training and {len(held_out)} held out are too few",
             f"make at least {config.batch} for training and 2 held out (every tenth world)",
@@ -193,7 +197,9 @@ def _open(dataset: Path, config: PlannerTrainingConfig, start: Path | None = Non
     reader = ClueReader(config.network.channels, torch.Generator().manual_seed(seed + 1))
     record = PlannerTrainingRecord(
         config=config,
-        dataset_sha256=hash_files(dataset, [dataset / RECORD_FILE, dataset / VOCABULARY_FILE]),
+        dataset_sha256=[
+            hash_files(one, [one / RECORD_FILE, one / VOCABULARY_FILE]) for one in datasets
+        ],
         samples=len(train_on),
         held_out=len(held_out),
         parameters=sum(parameter.numel() for parameter in model.parameters()),
