@@ -31,7 +31,7 @@ from recast.weights import shipped_folder
 RECIPES = {
     "log": 2,
     "actor": 11,
-    "refine": 5,
+    "refine": 6,
     "turntable": 1,
     "scene": 4,
     "evaluation": 3,
