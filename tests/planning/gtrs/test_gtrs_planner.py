@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from copy import deepcopy
 from dataclasses import replace
 from pathlib import Path
 
@@ -26,8 +27,10 @@ from recast.planning.gtrs import (
     GtrsModel,
     GtrsPlanner,
     empty_model,
+    new_model,
     save_gtrs,
 )
+from recast.planning.types import ego_status
 from support.tiny_gtrs import VIEWS, fan, rig
 
 
@@ -216,3 +219,69 @@ def test_training_mode_is_left_before_driving(
     planner.model.train()
     planner.reset(context)
     assert not planner.model.training
+
+
+@pytest.fixture
+def remembering(planner: GtrsPlanner) -> GtrsPlanner:
+    """The same planner with a network that looks at an image one second older, too."""
+    config = planner.model.config.model_copy(update={"history": 1.0})
+    model = new_model(config, torch.Generator().manual_seed(1))
+    return GtrsPlanner(model, planner.vocabulary, VIEWS)
+
+
+def at(observation: PlannerInput, seconds: float, seed: int = 0) -> PlannerInput:
+    """The same state at another time and with other images."""
+    rng = np.random.default_rng([seed, round(10 * seconds)])
+    images = {name: rng.integers(0, 256, (32, 48, 3), np.uint8) for name in VIEWS.cameras}
+    return replace(observation, timestamp_us=round(seconds * 1e6), images=images)
+
+
+def test_a_second_image_is_the_one_of_a_second_ago(
+    remembering: GtrsPlanner, context: PlanningContext, observation: PlannerInput
+) -> None:
+    remembering.reset(context)
+    status = ego_status(observation.command, observation.ego)
+    seen = {t: VIEWS.stitch(at(observation, t).images) for t in (0.0, 0.5, 1.0, 1.5)}
+    for now, before in ((0.0, None), (0.5, None), (1.0, 0.0), (1.5, 0.5)):
+        found = remembering.decide(at(observation, now))
+        again = remembering.decide(at(observation, now))  # a second look remembers nothing new
+        earlier = None if before is None else seen[before]
+        expected = remembering.judge(seen[now], status, earlier)
+        np.testing.assert_allclose(found.scores, expected.scores, rtol=0, atol=1e-4)
+        np.testing.assert_array_equal(found.scores, again.scores)
+    alone = remembering.judge(seen[1.0], status)
+    assert (
+        np.abs(alone.scores - remembering.judge(seen[1.0], status, seen[0.0]).scores).max() > 1e-3
+    )
+
+
+def test_a_copy_and_a_reset_have_memories_of_their_own(
+    remembering: GtrsPlanner, context: PlanningContext, observation: PlannerInput
+) -> None:
+    remembering.reset(context)
+    remembering.plan(at(observation, 0.0))
+    branch = deepcopy(remembering)
+    branch.plan(at(observation, 0.1, seed=1))  # nearer to a second before 1.1 s
+    own, theirs = (one.decide(at(observation, 1.1)) for one in (remembering, branch))
+    assert np.abs(own.scores - theirs.scores).max() > 1e-3
+    remembering.reset(context)
+    forgotten = remembering.decide(at(observation, 1.0))
+    alone = remembering.judge(
+        VIEWS.stitch(at(observation, 1.0).images), ego_status(observation.command, observation.ego)
+    )
+    np.testing.assert_allclose(forgotten.scores, alone.scores, rtol=0, atol=1e-4)
+
+
+def test_an_unknown_earlier_image_says_nothing(remembering: GtrsPlanner) -> None:
+    """In a batch, too, where the place of an unknown one holds anything."""
+    generator = torch.Generator().manual_seed(2)
+    images = torch.rand(2, 3, 32, 128, generator=generator)
+    earlier, status = torch.rand(2, 3, 32, 128, generator=generator), torch.randn(2, 8)
+    trajectories = torch.from_numpy(remembering.vocabulary)
+    with torch.no_grad():
+        both = remembering.model(images, status, trajectories, earlier, torch.tensor([True, False]))
+        known = remembering.model(images, status, trajectories, earlier)
+        none = remembering.model(images, status, trajectories)
+    for name, found in both.items():
+        torch.testing.assert_close(found[0], known[name][0], rtol=0, atol=1e-5)
+        torch.testing.assert_close(found[1], none[name][1], rtol=0, atol=1e-5)

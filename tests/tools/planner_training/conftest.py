@@ -60,5 +60,5 @@ def small_dataset(tmp_path_factory: pytest.TempPathFactory, vocabulary: np.ndarr
             scores = np.stack([one.scores for one in found])
             best = np.array([one.best for one in found], np.int32)
             samples.append(Sample(image, status, scores, best, clues))
-        write_world(world_folder(folder, number), samples, [1, 0])
+        write_world(world_folder(folder, number), samples, [1, 0], [-1, -1])
     return folder

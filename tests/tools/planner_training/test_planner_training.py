@@ -1,5 +1,6 @@
 import shutil
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -10,7 +11,7 @@ from recast.core.errors import InputError
 from recast.core.files import write_json
 from recast.planning import make_planner
 from recast.planning.gtrs import BackboneConfig, BackboneStage, GtrsConfig
-from recast.training.loop import LOG_FILE, read_log_lines
+from recast.training.loop import LOG_FILE, StepRandom, read_log_lines
 from recast.training.state import STATE_FILE, TrainerSettings
 from recast_tools.planner_training.evaluate import truth_sheet
 from recast_tools.planner_training.samples import (
@@ -24,6 +25,7 @@ from recast_tools.planner_training.task import (
     HALF_VIEWS,
     MINI,
     MINI_VIEWS,
+    Batch,
     ClueReader,
     GtrsTask,
     PlannerTrainingConfig,
@@ -151,7 +153,7 @@ def test_a_batch_holds_every_speed_of_a_picture(small_dataset: Path) -> None:
     task = GtrsTask(store, np.arange(20), model, reader, 4, 16)
     chosen, scored = np.array([3, 8]), np.array([5, 77, 2])
     mirrored = np.array([False, True])
-    both = task.gather(chosen, np.arange(2), mirrored, None, scored)
+    both = task.gather(chosen, np.arange(2), mirrored, scored=scored)
     assert both.images.shape[0] == 2
     torch.testing.assert_close(both.trajectories, task.vocabulary[torch.from_numpy(scored)])
     for k in range(2):
@@ -227,3 +229,41 @@ def test_the_store_knows_twins_and_holds_out_whole_worlds(small_dataset: Path) -
     assert truth_sheet(store, 0, 3).shape == (3 * 128, 512 + 256, 3)
     with pytest.raises(InputError, match="choose from the 20"):
         truth_sheet(store, 18, 3)
+
+
+def test_a_training_with_a_second_image(small_dataset: Path, tmp_path: Path) -> None:
+    """It may begin from a planner that looks at one; only what is new is drawn."""
+    data = tmp_path / "data"
+    shutil.copytree(small_dataset, data)
+    for number in range(10):  # each second sample is a second later than the first
+        path = world_folder(data, number) / "samples.npz"
+        samples = dict(np.load(path))
+        np.savez(path, allow_pickle=False, **{**samples, "before": np.array([-1, 0], np.int32)})
+    train_planner([data], tmp_path / "first", config(2), QUIET)
+    export_planner(tmp_path / "first", [data], tmp_path / "one")
+    two = TINY.model_copy(update={"history": 1.0})
+    train_planner([data], tmp_path / "second", config(4, network=two), QUIET, tmp_path / "one")
+    ended = export_planner(tmp_path / "second", [data], tmp_path / "two")
+    assert ended.model.config.history == 1.0
+    assert make_planner(str(tmp_path / "two")).model.config.history == 1.0
+    with pytest.raises(InputError, match="other network sizes"):  # it would lose what it looks at
+        train_planner([data], tmp_path / "third", config(2), QUIET, tmp_path / "two")
+
+
+def test_twins_lack_the_same_images(small_dataset: Path) -> None:
+    """Else what one of them lacks would tell it from the other."""
+    store = SampleStore(small_dataset)
+    store.before[:] = np.where(store.clues[:, 0] > 0, np.arange(len(store)), -1)
+    model = first_model(0, TINY.model_copy(update={"history": 1.0}))
+    reader = ClueReader(TINY.channels, torch.Generator().manual_seed(0))
+    task = GtrsTask(store, np.arange(len(store)), model, reader, 4, 16)
+    seen, gather = [], task.gather
+
+    def watched(*parts: Any) -> Batch:
+        seen.append(parts[4])
+        return gather(*parts)
+
+    task.gather = watched  # type: ignore[method-assign]
+    for step in range(6):
+        task.loss(step, StepRandom.of(0, step))
+    assert not np.concatenate(seen).any()  # one of each pair has no image before

@@ -79,6 +79,8 @@ class GtrsConfig(Record):
         channels: number of channels of all tokens, d.
         feedforward: hidden channels of the decoder, of the vocabulary embedding and of the heads.
         token_rows, token_columns: size to which the backbone's features are pooled.
+        history: seconds by which a second image is older than the present one; None for a model
+            that looks at the present image alone, as the released one does.
     """
 
     backbone: BackboneConfig = BackboneConfig()
@@ -88,6 +90,7 @@ class GtrsConfig(Record):
     decoder_layers: Depth = 3
     token_rows: Count = 16
     token_columns: Count = 64
+    history: float | None = Field(default=None, gt=0.0, le=4.0)
 
     @model_validator(mode="after")
     def _heads_divide_channels(self) -> Self:

@@ -293,6 +293,10 @@ class GtrsModel(nn.Module):
         self.downscale_layer = nn.Conv2d(config.backbone.out_channels, config.channels, 1)
         self._status_encoding = nn.Linear(STATUS_VALUES, config.channels)
         self._trajectory_head = TrajectoryHead(config)
+        if config.history is not None:
+            # Added to the tokens of the earlier image, and what stands in their place without one.
+            self._earlier_embedding = PositionEmbedding(1, config.channels)
+            self._unknown_embedding = PositionEmbedding(1, config.channels)
 
     @property
     def backbone(self) -> VovNet:
@@ -322,15 +326,41 @@ class GtrsModel(nn.Module):
         """Ego status (B, 8), see `ego_status`, to (B, d)."""
         return self._status_encoding(status)
 
-    def score(self, features: Tensor, status: Tensor, trajectories: Tensor) -> dict[str, Tensor]:
-        """Logits from backbone features (B, C, h, w); otherwise as `forward`."""
+    def score(
+        self,
+        features: Tensor,
+        status: Tensor,
+        trajectories: Tensor,
+        earlier: Tensor | None = None,
+        known: Tensor | None = None,
+    ) -> dict[str, Tensor]:
+        """Logits from backbone features (B, C, h, w); otherwise as `forward`.
+
+        Args:
+            earlier: features (B, C, h, w) of the earlier images.
+            known: (B,) bool, which of them there are; all if None.
+        """
         if trajectories.ndim == 3:
             trajectories = trajectories[None]
-        return self._trajectory_head(
-            trajectories, self.image_tokens(features), self.encode_status(status)
-        )
+        tokens = self.image_tokens(features)
+        if self.config.history is not None:
+            before = self._unknown_embedding.weight.expand_as(tokens)
+            if earlier is not None:
+                there = self._earlier_embedding(self.image_tokens(earlier))
+                before = (
+                    there if known is None else torch.where(known[:, None, None], there, before)
+                )
+            tokens = torch.cat([tokens, before], dim=1)
+        return self._trajectory_head(trajectories, tokens, self.encode_status(status))
 
-    def forward(self, images: Tensor, status: Tensor, trajectories: Tensor) -> dict[str, Tensor]:
+    def forward(
+        self,
+        images: Tensor,
+        status: Tensor,
+        trajectories: Tensor,
+        earlier: Tensor | None = None,
+        known: Tensor | None = None,
+    ) -> dict[str, Tensor]:
         """Logits of every head for every trajectory.
 
         Args:
@@ -338,11 +368,17 @@ class GtrsModel(nn.Module):
             status: (B, 8), see `ego_status`.
             trajectories: (L, 40, 3), the same for all samples, or (B, L, 40, 3): x, y, heading of
                 the rear axle in the present ego frame at 0.1 s .. 4 s.
+            earlier: (B, 3, H, W) images `history` seconds earlier, for a model that looks at them;
+                None where there are none.
+            known: see `score`.
 
         Returns:
             head name to (B, L); see `final_score`.
         """
-        return self.score(self.backbone(images), status, trajectories)
+        features = self.backbone(images)
+        if self.config.history is None or earlier is None:
+            return self.score(features, status, trajectories)
+        return self.score(features, status, trajectories, self.backbone(earlier), known)
 
     @torch.no_grad()
     def initialise(self, generator: torch.Generator) -> None:

@@ -19,7 +19,7 @@ from pydantic import Field
 from safetensors.torch import save
 from torch import Tensor
 
-from recast.arrays import Float32Array
+from recast.arrays import Float32Array, Image
 from recast.cameras import CameraMount
 from recast.cameras.mounts import choose_views, directions
 from recast.core.errors import InputError
@@ -91,7 +91,9 @@ class GtrsDecision:
 class GtrsPlanner(BasePlanner):
     """Scores a vocabulary of trajectories against three camera images and drives the best.
 
-    The chosen entry is returned as it is: not smoothed, not blended. Nothing is remembered from one
+    The chosen entry is returned as it is: not smoothed, not blended. A model with a `history`
+    remembers what it saw of the images of a rollout, and looks again at the one that is nearest to
+    so many seconds ago, if it is less than half of that off. Nothing else is remembered from one
     cycle to the next, but for what depends on the vocabulary alone, which is computed once.
 
     Args:
@@ -127,13 +129,16 @@ class GtrsPlanner(BasePlanner):
         self.weights = weights
         self.top_k = top_k
         self.device = str(model.device)
+        self._seen: dict[int, Tensor] = {}  # features by log time
         # Left, front and right picture of any rig; of nuPlan's, its cameras of these names.
         self.wanted_views = views.views
         self.camera_names = None if views.views else views.cameras
 
     def __deepcopy__(self, memo: dict[int, Any]) -> GtrsPlanner:
         """An independent planner with the same network, which no rollout changes."""
-        return copy(self)
+        other = copy(self)
+        other._seen = dict(self._seen)
+        return other
 
     @property
     def _who(self) -> str:
@@ -154,6 +159,7 @@ class GtrsPlanner(BasePlanner):
             InputError: see `choose_cameras`; or waypoints are not 0.1 s apart.
         """
         self._fitted = self._fit(context.cameras)
+        self._seen = {}
         if abs(context.dt - _DT) > 1e-9:
             raise InputError(
                 self._who,
@@ -213,7 +219,10 @@ class GtrsPlanner(BasePlanner):
             trajectories, weights = np.concatenate([trajectories, extra]), COMBINED
         elif proposals_only:
             raise ValueError("GtrsPlanner.decide: proposals_only needs proposals")
-        decision = self.score(stitched, status, trajectories, weights)
+        with torch.no_grad():
+            features = self.model.backbone(network_input(stitched)[None].to(self.model.device))
+        earlier = self._remembered(features, observation.timestamp_us)
+        decision = self._scored(features, status, trajectories, weights, earlier)
         return replace(decision, first=len(self.vocabulary)) if proposals_only else decision
 
     def _fit(self, mounts: Mapping[str, CameraMount]) -> ViewLayout:
@@ -236,29 +245,54 @@ class GtrsPlanner(BasePlanner):
         sizes = {view: (camera.width, camera.height) for view, camera in cameras.items()}
         return self.views.fitted(sizes, self._who).model_copy(update={"cameras": names})
 
+    def _remembered(self, features: Tensor, time: int) -> Tensor | None:
+        """The features of the earlier image, if there was one; those of a time are kept."""
+        history = self.model.config.history
+        if history is None:
+            return None
+        wanted = time - history * 1e6
+        there = [one for one in self._seen if abs(one - wanted) < history * 0.5e6]
+        earlier = self._seen[min(there, key=lambda one: abs(one - wanted))] if there else None
+        # A second look at a moment, such as at a disturbed image, changes no memory of it.
+        self._seen.setdefault(time, features)
+        self._seen = {one: kept for one, kept in self._seen.items() if one > time - 1.6e6 * history}
+        return earlier
+
     @torch.no_grad()
-    def score(
-        self,
-        stitched: np.ndarray,
-        status: np.ndarray,
-        trajectories: Trajectories,
-        weights: ScoreWeights,
+    def judge(
+        self, stitched: Image, status: Float32Array, earlier: Image | None = None
     ) -> GtrsDecision:
-        """Score trajectories against a picture.
+        """Score the vocabulary against pictures, without a rollout.
 
         Args:
             stitched: (H, W, 3) uint8, see `ViewLayout.stitch`.
-            status: (8,) see `ego_status`.
-            trajectories: (N, 40, 3), see `check_vocabulary`.
+            status: (8,), see `ego_status`.
+            earlier: the picture `history` seconds earlier, for a model that looks at it.
 
         Raises:
             InputError: the network's answer is not finite.
         """
+        images = [one for one in (stitched, earlier) if one is not None]
+        pictures = torch.stack([network_input(one) for one in images]).to(self.model.device)
+        now, *before = self.model.backbone(pictures).split(1)
+        seen = before[0] if before else None
+        return self._scored(now, status, self.vocabulary, self.weights, seen)
+
+    @torch.no_grad()
+    def _scored(
+        self,
+        features: Tensor,
+        status: Float32Array,
+        trajectories: Trajectories,
+        weights: ScoreWeights,
+        earlier: Tensor | None,
+    ) -> GtrsDecision:
         device = self.model.device
-        logits = self.model(
-            network_input(stitched)[None].to(device),
+        logits = self.model.score(
+            features,
             torch.from_numpy(status)[None].to(device),
             torch.from_numpy(trajectories).to(device),
+            earlier,
         )
         comfortable = None
         if weights.comfort > 0:

@@ -59,8 +59,8 @@ _SEEN = np.deg2rad(68.0)
 FIRST_SEED = 1000
 """First seed of training worlds; those below are for evaluation."""
 _WORLDS_PER_SEED = 100_000
-_TWIN = 0.3
-"""Share of the samples with a vehicle in sight that are made once more without it."""
+_TWINS = 0.25
+"""Share of the drives with an actor whose samples are made once more without it."""
 _MOST_DRIVES = 20
 """Drives for each sample of a world, after which it has no room for them."""
 _PLANNER_DRIVES = 0.5
@@ -143,10 +143,9 @@ def make_world_samples(out: Path, number: int, record: DatasetRecord, store: Sto
         shown = reconstruct(make_world(scene, seed, record.seconds), store, record.street_steps)
     stage = make_stage(scene, seed, record.seconds) if shown is None else shown.stage
     oracle = Oracle(stage.world) if shown is None else None
-    samples: list[Sample] = []
-    twins: list[int] = []
+    written = SampleWriter(record.per_world)
     drives = 0
-    while len(samples) < record.per_world:
+    while not written.full:
         rng = np.random.default_rng([seed, record.seed, drives])
         renderer, paint = _painter(shown, oracle, number + drives, rng)
         drive = begin_drive(stage, rng)
@@ -159,7 +158,8 @@ def make_world_samples(out: Path, number: int, record: DatasetRecord, store: Sto
                 "use another `seed`; please report this, it should not happen",
             )
         driver.begin(rng)
-        while drive is not None and len(samples) < record.per_world:
+        with_twins, before, twin_before = bool(rng.uniform() < _TWINS), -1, -1
+        while drive is not None and not written.full:
             situation = drive.situation(record.speeds, rng)
             if situation is None:
                 break
@@ -167,17 +167,45 @@ def make_world_samples(out: Path, number: int, record: DatasetRecord, store: Sto
             sample, targets = describe(stage, situation, image, renderer, vocabulary)
             if targets.total.max() <= 0.0:  # nothing helps any more: not even the expert knows
                 break
-            samples.append(sample)
-            twins.append(-1)
-            there = situation.actor is not None and sample.clues[0] > 0
-            if there and len(samples) < record.per_world and rng.uniform() < _TWIN:
-                alone = situation.without_actor()
-                image = render(paint, stage, alone)
-                samples.append(describe(stage, alone, image, renderer, vocabulary)[0])
-                twins[-1] = len(samples) - 1
-                twins.append(len(samples) - 2)
-            drive.go(driver.choose(sample, targets, rng).astype(np.float64))
-    write_world(world_folder(out, number), samples, twins)
+            seen = None if before < 0 else written.samples[before].image
+            before = written.add(sample, before)
+            if with_twins and situation.actor is not None and not written.full:
+                alone, in_sight = situation.without_actor(), sample.clues[0] > 0
+                image = render(paint, stage, alone) if in_sight else image
+                twin = describe(stage, alone, image, renderer, vocabulary)[0]
+                twin_before = written.add(twin, twin_before, before if in_sight else -1)
+            drive.go(driver.choose(sample, seen, targets, rng).astype(np.float64))
+    write_world(world_folder(out, number), written.samples, written.twins, written.before)
+
+
+class SampleWriter:
+    """The samples of a world, and which belong together.
+
+    Attributes:
+        twins: for each the index of the one that differs in the vehicle alone, or -1.
+        before: for each the index of the one that was seen a second earlier, or -1.
+    """
+
+    def __init__(self, room: int) -> None:
+        self.samples: list[Sample] = []
+        self.twins: list[int] = []
+        self.before: list[int] = []
+        self._room = room
+
+    @property
+    def full(self) -> bool:
+        """Whether there is room for no other sample."""
+        return len(self.samples) >= self._room
+
+    def add(self, sample: Sample, before: int, twin: int = -1) -> int:
+        """Add a sample, and give its index."""
+        index = len(self.samples)
+        self.samples.append(sample)
+        self.before.append(before)
+        self.twins.append(twin)
+        if twin >= 0:
+            self.twins[twin] = index
+        return index
 
 
 class Driver:
@@ -201,15 +229,20 @@ class Driver:
         self._sees = self._planner is not None and bool(rng.uniform() < _PLANNER_DRIVES)
 
     def choose(
-        self, sample: Sample, targets: TrajectoryTargets, rng: np.random.Generator
+        self,
+        sample: Sample,
+        before: Image | None,
+        targets: TrajectoryTargets,
+        rng: np.random.Generator,
     ) -> NDArray[np.float32]:
-        """The trajectory (40, 3) to be followed from a sample, at its first speed."""
+        """The trajectory (40, 3) to be followed from a sample, at its first speed.
+
+        Args:
+            before: the image a second earlier.
+        """
         if self._sees:
             assert self._planner is not None
-            planner = self._planner
-            seen = planner.score(
-                sample.image, sample.status[0], planner.vocabulary, planner.weights
-            )
+            seen = self._planner.judge(sample.image, sample.status[0], before)
             return seen.trajectories[seen.best]
         if rng.uniform() < _MISTAKEN:
             begins = self._vocabulary[:, 0, 0] / 0.1  # m/s

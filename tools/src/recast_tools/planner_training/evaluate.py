@@ -129,9 +129,10 @@ def _choose(
     chosen, losses = [], []
     for first in range(0, len(indices), _BATCH):
         part, seen = indices[first : first + _BATCH], pictures[first : first + _BATCH]
-        images = [task.store.image(index) for index in seen]
-        batch = task.gather(part, FIRST_SPEED, np.zeros(len(part), np.bool_), images)
-        logits = task.model(batch.images, batch.status, batch.trajectories)
+        images = [task.picture(index) for index in seen]
+        known = task.store.before[seen] >= 0
+        batch = task.gather(part, FIRST_SPEED, np.zeros(len(part), np.bool_), images, known)
+        logits = task.seen(batch)
         terms = training_loss(logits, batch.targets, batch.trajectories, batch.demonstration)
         scored = final_score(logits, weights, task.comfortable)
         chosen.append(scored.argmax(dim=1).numpy())
@@ -155,7 +156,7 @@ def decision_sheet(task: GtrsTask, indices: NDArray[np.int64], weights: ScoreWei
     was_training = task.model.training
     task.model.eval()
     batch = task.gather(indices, FIRST_SPEED, np.zeros(len(indices), np.bool_))
-    logits = task.model(batch.images, batch.status, batch.trajectories)
+    logits = task.seen(batch)
     task.model.train(was_training)
     chosen = final_score(logits, weights, task.comfortable).argmax(dim=1).tolist()
     rows = [_row(task.store, i, choice) for i, choice in zip(indices, chosen, strict=True)]

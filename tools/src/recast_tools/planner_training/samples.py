@@ -52,7 +52,8 @@ a generated vehicle in its place, or with that vehicle refined."""
 _GOLDEN = (5**0.5 - 1) / 2
 _IMAGES, _REST = "images.npy", "samples.npz"
 _OF_SAMPLE = ("status", "scores", "best", "clues")
-_MEMBERS = (*_OF_SAMPLE, "renderer", "twin")
+_LINKS = ("twin", "before")
+_MEMBERS = (*_OF_SAMPLE, "renderer", *_LINKS)
 
 _CLEAN = 0.15
 _MIRRORED_CLUES = np.array([-1.0 if name not in ("present", "x", "cos") else 1.0 for name in CLUES])
@@ -123,17 +124,20 @@ def world_folder(folder: Path, number: int) -> Path:
     return folder / f"world-{number:05d}"
 
 
-def write_world(folder: Path, samples: Sequence[Sample], twins: Sequence[int]) -> None:
+def write_world(
+    folder: Path, samples: Sequence[Sample], twins: Sequence[int], before: Sequence[int]
+) -> None:
     """Write the samples of a world, whole or not at all.
 
     Args:
         twins: number, for each sample, of the one that differs in the vehicle alone, or -1.
+        before: number, for each sample, of the one that was seen a second earlier, or -1.
     """
     with atomic_folder(folder) as partial:
         np.save(partial / _IMAGES, np.stack([one.image for one in samples]))
         arrays = {name: np.stack([getattr(one, name) for one in samples]) for name in _OF_SAMPLE}
         arrays["renderer"] = np.array([RENDERERS.index(one.renderer) for one in samples], np.uint8)
-        arrays["twin"] = np.array(twins, np.int32)
+        arrays["twin"], arrays["before"] = np.array(twins, np.int32), np.array(before, np.int32)
         np.savez_compressed(partial / _REST, allow_pickle=False, **arrays)
 
 
@@ -153,6 +157,7 @@ class SampleStore:
         status, scores, best, clues: values of all samples, see `Sample`.
         renderer: (N,) index in `RENDERERS` of what rendered each image.
         twin: (N,) index of the sample that differs in the vehicle alone, or -1.
+        before: (N,) index of the sample that was seen a second earlier, or -1.
     """
 
     def __init__(self, *folders: Path) -> None:
@@ -180,13 +185,15 @@ class SampleStore:
             self._images.append(images)
             for name in _MEMBERS:
                 parts[name].append(rest[name])
-            twin = parts["twin"][-1]
-            parts["twin"][-1] = np.where(twin < 0, -1, twin + first)
+            for name in _LINKS:
+                link = parts[name][-1]
+                parts[name][-1] = np.where(link < 0, -1, link + first)
             worlds.append(np.full(len(images), int(path.name.removeprefix("world-"))))
             first += len(images)
         self.worlds = np.concatenate(worlds)
-        self.status, self.scores, self.best, self.clues, self.renderer, self.twin = (
-            np.concatenate(parts[name]) for name in _MEMBERS
+        joined = (np.concatenate(parts[name]) for name in _MEMBERS)
+        self.status, self.scores, self.best, self.clues, self.renderer, self.twin, self.before = (
+            joined
         )
         self._first = np.cumsum([0, *(len(images) for images in self._images)])
         if self.scores.shape[-1] != len(self.vocabulary):

@@ -13,6 +13,7 @@ from pydantic import Field, ValidationError
 from torch import Tensor, nn
 from torch.nn import functional
 
+from recast.arrays import Image
 from recast.core.errors import InputError
 from recast.core.files import read_json
 from recast.core.records import Record, validation_error
@@ -46,6 +47,8 @@ from recast_tools.planner_training.vocabulary import mirror_index
 _SCALES = (1.0, 12.0, 3.0, 1.0, 1.0, 0.4, 0.06, 0.6, 1.5, 3.0)
 """Usual sizes of the clues."""
 _CLUE_WEIGHT = 1.0
+_FORGOTTEN = 0.15
+"""Share of the samples whose earlier image is left out, as at the first moment of a run."""
 
 MINI_VIEWS = ViewLayout(
     width=480, height=320, crop_rows=32, crop_columns=104, input_width=512, input_height=128
@@ -64,6 +67,9 @@ class Batch:
 
     Attributes:
         images: (B, 3, H, W) images in [0, 1].
+        earlier: (B, 3, H, W) images a second earlier, where the model looks at them; the present
+            ones where there are none.
+        known: (B,) bool, whether there are some.
         status: (B K, 8) status vectors, those of a picture one after another.
         trajectories: (L, 40, 3) trajectories that are scored.
         targets: (B K, L) target sub-scores, by metric head.
@@ -72,6 +78,8 @@ class Batch:
     """
 
     images: Tensor
+    earlier: Tensor | None
+    known: Tensor
     status: Tensor
     trajectories: Tensor
     targets: Mapping[str, Tensor]
@@ -122,11 +130,28 @@ class GtrsTask:
         others = rng.choice(self.indices, len(drawn), replace=False)
         chosen = np.concatenate([drawn, np.where(twins >= 0, twins, others)])
         mirrored = rng.uniform(size=len(chosen)) < 0.5
-        images = [augment(self.store.image(index), rng) for index in chosen]
+        known = (self.store.before[chosen] >= 0) & (rng.uniform(size=len(chosen)) > _FORGOTTEN)
+        # What one of two twins lacks must not tell it from the other.
+        both = np.where(twins >= 0, known[: len(drawn)] & known[len(drawn) :], False)
+        halves = (known[: len(drawn)], known[len(drawn) :])
+        known = np.concatenate([np.where(twins >= 0, both, half) for half in halves])
+        images = [
+            augment(self.picture(index, bool(there)), rng)
+            for index, there in zip(chosen, known, strict=True)
+        ]
         scored = vocabulary_dropout(len(self.vocabulary), self._kept, random.torch).numpy()
         every = np.arange(self.store.status.shape[1])
-        found = self.of(self.gather(chosen, every, mirrored, images, scored))
+        found = self.of(self.gather(chosen, every, mirrored, images, known, scored))
         return StepLoss(sum_of(found), {k: float(v.detach()) for k, v in found.items()})
+
+    def picture(self, index: int, known: bool = True) -> Image:
+        """(H, W, 3) the image of a sample; above the one a second earlier where the model looks at
+        two, or above itself where there is none or it is not `known`."""
+        now = self.store.image(index)
+        if self.model.config.history is None:
+            return now
+        before = int(self.store.before[index])
+        return np.concatenate([now, self.store.image(before) if known and before >= 0 else now])
 
     def gather(
         self,
@@ -134,6 +159,7 @@ class GtrsTask:
         speeds: NDArray[np.int64],
         mirrored: NDArray[np.bool_],
         images: Sequence[NDArray[np.uint8]] | None = None,
+        known: NDArray[np.bool_] | None = None,
         scored: NDArray[np.int64] | None = None,
     ) -> Batch:
         """Samples as a batch.
@@ -142,13 +168,15 @@ class GtrsTask:
             chosen: (B,) indices of the samples.
             speeds: (K,) indices of the ego's speeds, the same for all samples.
             mirrored: (B,) whether a sample is taken in the mirror.
-            images: pictures instead of the stored ones.
+            images: pictures instead of those of `picture`.
+            known: (B,) whether they have an earlier image; None for as the samples have.
             scored: (L,) indices of the trajectories; None for all.
         """
         store, twice = self.store, self._mirror
         if scored is None:
             scored = np.arange(len(twice))
-        pictures = [store.image(i) for i in chosen] if images is None else list(images)
+        pictures = [self.picture(i) for i in chosen] if images is None else list(images)
+        known = store.before[chosen] >= 0 if known is None else known
         at = np.ix_(chosen, speeds)
         # Of a mirrored sample a trajectory has the score that its mirror image has in the sample.
         columns = np.where(mirrored[:, None], twice[scored], scored)[:, None, None]
@@ -162,10 +190,14 @@ class GtrsTask:
         targets = {name: torch.from_numpy(scores[i]) for i, name in enumerate(SCORED)}
         targets[METRICS[6]] = torch.ones_like(targets[SCORED[0]])
         # Channels last, as the pictures come: a step takes a fifth less.
+        shown = torch.stack([network_input(picture) for picture in pictures]).contiguous(
+            memory_format=torch.channels_last
+        )
+        now, *before = [shown] if self.model.config.history is None else shown.chunk(2, dim=2)
         return Batch(
-            torch.stack([network_input(picture) for picture in pictures]).contiguous(
-                memory_format=torch.channels_last
-            ),
+            now,
+            before[0] if before else None,
+            torch.from_numpy(known),
             torch.from_numpy(status).flatten(0, 1),
             self.vocabulary[torch.from_numpy(scored)],
             targets,
@@ -175,18 +207,38 @@ class GtrsTask:
 
     def of(self, batch: Batch) -> dict[str, Tensor]:
         """Terms of the loss by name."""
-        features = self.model.backbone(batch.images)
-        logits = self.logits(features, batch)
+        earlier = None
+        if batch.earlier is None:
+            features = self.model.backbone(batch.images)
+        else:
+            features, earlier = self.model.backbone(torch.cat([batch.images, batch.earlier])).chunk(
+                2
+            )
+        logits = self.logits(features, batch, earlier)
         terms = training_loss(logits, batch.targets, batch.trajectories, batch.demonstration)
         read = self.reader(self.model.image_tokens(features))
         terms["clues"] = _CLUE_WEIGHT * self.reader.loss(read, batch.clues)
         return terms
 
-    def logits(self, features: Tensor, batch: Batch) -> dict[str, Tensor]:
-        """Logits (B K, L) of every head, from the backbone's features (B, C, h, w) of a batch."""
+    def seen(self, batch: Batch) -> dict[str, Tensor]:
+        """Logits (B K, L) of every head for a batch with one speed."""
+        return self.model(
+            batch.images, batch.status, batch.trajectories, batch.earlier, batch.known
+        )
+
+    def logits(
+        self, features: Tensor, batch: Batch, earlier: Tensor | None = None
+    ) -> dict[str, Tensor]:
+        """Logits (B K, L) of every head, from the backbone's features (B, C, h, w) of a batch, and
+        of its earlier images."""
         speeds = len(batch.status) // len(features)
+
+        def each(values: Tensor) -> Tensor:
+            return values.repeat_interleave(speeds, dim=0)
+
+        before = None if earlier is None else each(earlier)
         return self.model.score(
-            features.repeat_interleave(speeds, dim=0), batch.status, batch.trajectories
+            each(features), batch.status, batch.trajectories, before, each(batch.known)
         )
 
 

@@ -212,14 +212,17 @@ def _open(
 def _begin_from(model: GtrsModel, folder: Path) -> None:
     """Give a model the weights of a planner's folder; any vocabulary will do."""
     found = load_gtrs(folder).model
-    if found.config != model.config:
+    alike = found.config.model_copy(update={"history": model.config.history})
+    if alike != model.config or (found.config.history and not model.config.history):
         raise InputError(
             folder / CONFIG_FILE,
             "model",
             "has other network sizes than the model to train",
             "name another planner, or give its sizes as `network` with `config`",
         )
-    model.load_state_dict(found.state_dict())
+    given = found.state_dict()
+    # What looks at an earlier image is as it was drawn where the planner did not look at one.
+    model.load_state_dict({**model.state_dict(), **given})
 
 
 def _check_same(folder: Path, record: PlannerTrainingRecord) -> None:
