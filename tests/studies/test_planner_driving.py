@@ -105,7 +105,9 @@ def test_who_drives_as_recorded_scores_nothing(tmp_path: Path) -> None:
     assert [one.kind for one in found.scores] == ["all", "free", "from 8 m/s"]
     record = json.loads((tmp_path / "out" / "metrics.json").read_text())
     assert record["version"] == 1 and len(record["moments"]) == 10
-    assert not (tmp_path / "out" / "worst.png").exists()  # it used no images
+    page = (tmp_path / "out" / "index.html").read_text()
+    assert "end 0.0 m from what was driven" in page
+    assert "<img" not in page  # it used no images
 
 
 def test_a_driver_who_stops_and_a_plan_that_goes_on(tmp_path: Path) -> None:
@@ -137,7 +139,8 @@ def test_a_planner_sees_the_recorded_images_by_its_own_camera(tmp_path: Path) ->
     moved = found.scores[0].moved
     assert set(moved) == {"one pixel", "one grey level", "JPEG 90"}
     assert moved["one grey level"] < moved["one pixel"] == 0.8  # 2 red a degree, a degree a pixel
-    assert (tmp_path / "out" / "worst.png").is_file()
+    page = (tmp_path / "out" / "index.html").read_text()
+    assert page.count("<img") == len(list((tmp_path / "out" / "images").iterdir())) > 0
 
 
 @pytest.mark.parametrize(

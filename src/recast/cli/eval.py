@@ -156,7 +156,7 @@ class EvalPlanner:
     log: Annotated[tyro.conf.Positional[tuple[Path, ...]], tyro.conf.arg(metavar="LOG...")]
     """Log folders."""
     out: Path
-    """New folder for metrics.json and worst.png, the ten moments furthest from what was driven."""
+    """New folder for metrics.json and a page with the ten moments furthest from what was driven."""
     every: float = 0.5
     """Seconds between the moments of a drive."""
     seed: Annotated[int, shared.SEED] = 0

@@ -14,7 +14,6 @@ from typing import Any, Literal
 
 import cv2
 import numpy as np
-from PIL import Image as PilImage
 from rich.box import SIMPLE_HEAD
 from rich.table import Table
 
@@ -22,9 +21,8 @@ from recast.arrays import Array, Image
 from recast.cameras import CameraMount
 from recast.core.diagnostics import Progress
 from recast.core.errors import InputError
-from recast.core.files import atomic_folder, write_json
+from recast.core.files import atomic_folder, write_json, write_text
 from recast.core.foreign import whole
-from recast.core.images import draw_text
 from recast.dynamics import PACIFICA, EgoState, VehicleParameters, initial_state
 from recast.dynamics import state as ego
 from recast.geometry import se2, se3
@@ -42,12 +40,13 @@ from recast.planning import (
     planner_cameras,
     virtual_mounts,
 )
+from recast.reporting.page import PageAssets, render_template
 from recast.simulation import camera_mounts
 from recast.simulation.history import logged_past, logged_road_users
 from recast.simulation.planner_calls import calling
 
 Ahead = Literal["free", "leading", "standing", "oncoming", "crossing"]
-METRICS_FILE, WORST_FILE = "metrics.json", "worst.png"
+METRICS_FILE = "metrics.json"
 DISTURBANCES = ("one pixel", "one grey level", "JPEG 90")
 """How the recorded images are disturbed, besides as they are."""
 
@@ -134,6 +133,15 @@ class PlannerDriving:
         found = ((kind, [one for one in self.moments if of(one)]) for kind, of in kinds.items())
         return [_scores(kind, moments) for kind, moments in found if moments]
 
+    @property
+    def lead(self) -> str:
+        """What was found, in a sentence."""
+        one = self.scores[0]
+        said = f"At {one.moments} moments its plans end {one.fde:.1f} m from what was driven"
+        if one.stops_alone is None:
+            return f"{said}; the driver never went on."
+        return f"{said}; it stops in {one.stops_alone:.0%} of those in which the driver goes on."
+
     def to_json(self) -> dict[str, Any]:
         """Plain data, rounded to six decimals."""
         scores = [asdict(one) for one in self.scores]
@@ -173,9 +181,9 @@ def evaluate_planner(
 ) -> PlannerDriving:
     """Let a planner plan at the moments of recorded drives.
 
-    Writes `metrics.json` and `worst.png`, the ten moments of the largest FDE with both paths, to
-    `out`, whole or not at all. A planner that remembers gets the moments of a drive in their order,
-    with a call of `reset` before the first.
+    Writes `metrics.json` and a page, `index.html`, with the ten moments of the largest FDE, both
+    paths drawn in, to `out`, whole or not at all. A planner that remembers gets the moments of a
+    drive in their order, with a call of `reset` before the first.
 
     Args:
         every: seconds between moments.
@@ -188,23 +196,48 @@ def evaluate_planner(
     """
     planner = whole(planner, BasePlanner)
     moments: list[PlanMoment] = []
-    shown: list[tuple[float, Image]] = []
+    worst: list[tuple[PlanMoment, Image]] = []
     with atomic_folder(out) as partial:
         for index, log in enumerate(logs):
             drive = RecordedDrive(log, planner, vehicle, seed)
             for moment, picture in _of_drive(drive, planner, every):
                 moments.append(moment)
                 if picture is not None:
-                    shown = sorted([*shown, (-moment.fde, picture)], key=lambda one: one[0])
-                    shown = shown[:_WORST]
+                    worst = sorted([*worst, (moment, picture)], key=lambda one: -one[0].fde)
+                    worst = worst[:_WORST]
             if progress is not None:
                 progress(index + 1, len(logs))
         found = PlannerDriving(planner.name, tuple(moments))
         write_json(partial / METRICS_FILE, found.to_json())
-        if shown:
-            page = np.vstack([picture for _, picture in shown])
-            PilImage.fromarray(page).save(partial / WORST_FILE, format="PNG")
+        write_text(partial / "index.html", _page(found, logs, worst, PageAssets(partial)))
     return found
+
+
+def _page(
+    found: PlannerDriving,
+    logs: Sequence[DrivingLog],
+    worst: Sequence[tuple[PlanMoment, Image]],
+    assets: PageAssets,
+) -> str:
+    starts = {log.name: int(log.world_from_rig.timestamps_us[0]) for log in logs}
+    pictures = [
+        {
+            "media": assets.photo(one.log, picture),
+            "told": f"{one.log}, {(one.timestamp_us - starts[one.log]) * 1e-6:.1f} s, at "
+            f"{one.speed:.1f} m/s, {one.ahead}: FDE {one.fde:.1f} m",
+        }
+        for one, picture in worst
+    ]
+    names, rows = driving_cells(found)
+    return render_template(
+        "driving.html",
+        planner=found.planner,
+        lead=found.lead,
+        logs=list(starts),
+        names=names,
+        rows=rows,
+        pictures=pictures,
+    )
 
 
 class RecordedDrive:
@@ -372,7 +405,7 @@ def _of_drive(
                 _beside(plan, recorded) > _OFF_LANE,
                 moved,
             )
-            yield moment, _picture(drive, moment, seen, plan, recorded) if drive.names else None
+            yield moment, _picture(drive, seen, plan, recorded) if drive.names else None
         calls.finish()
 
 
@@ -453,12 +486,9 @@ def what_is_ahead(seen: PlannerInput, route: ReferenceRoute) -> Ahead:
 
 
 _INK = {"plan": (214, 39, 40), "driven": (44, 160, 44)}
-_CAPTION = 22
 
 
-def _picture(
-    drive: RecordedDrive, moment: PlanMoment, seen: PlannerInput, plan: Array, recorded: Array
-) -> Image:
+def _picture(drive: RecordedDrive, seen: PlannerInput, plan: Array, recorded: Array) -> Image:
     """(H, W, 3): the image that looks ahead most, with the driven path green and the plan red."""
     name = max(drive.mounts, key=lambda one: drive.mounts[one].rig_from_camera[0, 2])
     mount, page = drive.mounts[name], np.ascontiguousarray(seen.images[name])
@@ -469,14 +499,7 @@ def _picture(
         for (u, v), far in zip(pixels, depth, strict=True):
             if far > 0.5 and np.abs([u, v]).max() < 1e5:
                 cv2.circle(page, (round(float(u)), round(float(v))), 2, ink, -1)
-    scale = 480.0 / page.shape[1]
-    height = round(page.shape[0] * scale)
-    page = np.asarray(cv2.resize(page, (480, height), interpolation=cv2.INTER_AREA), np.uint8)
-    edge = np.full((_CAPTION, page.shape[1], 3), 255, np.uint8)
-    seconds = (moment.timestamp_us - int(drive.log.world_from_rig.timestamps_us[0])) * 1e-6
-    told = f"{moment.log}, {seconds:.1f} s, {moment.speed:.1f} m/s, {moment.ahead}"
-    draw_text(edge, (4, 15), f"{told}: FDE {moment.fde:.1f} m", (0, 0, 0), 13, "ls")
-    return np.vstack([edge, page])
+    return page
 
 
 def driving_table(found: PlannerDriving) -> Table:
@@ -484,24 +507,26 @@ def driving_table(found: PlannerDriving) -> Table:
     table = Table(
         title=f"{found.planner} on recorded images", title_justify="left", box=SIMPLE_HEAD
     )
-    table.add_column("moments")
-    for name in ("n", "ADE m", "FDE m", "stops alone %", "goes alone %", "off lane %"):
-        table.add_column(name, justify="right")
+    names, rows = driving_cells(found)
+    for index, name in enumerate(names):
+        table.add_column(name, justify="right" if index else "left")
+    for row in rows:
+        table.add_row(*row, end_section=row[0] in ("all", "crossing"))
+    return table
+
+
+def driving_cells(found: PlannerDriving) -> tuple[list[str], list[list[str]]]:
+    """Headings and rows of the table."""
     moved = list(found.scores[0].moved)
-    for name in moved:
-        table.add_column(f"moved by {name} %", justify="right")
+    names = ["kind", "n", "ADE m", "FDE m", "stops alone %", "goes alone %", "off lane %"]
+    names += [f"moved by {name} %" for name in moved]
 
     def share(value: float | None) -> str:
         return "-" if value is None else f"{100 * value:.0f}"
 
+    rows = []
     for one in found.scores:
         shares = [one.stops_alone, one.goes_alone, one.leaves, *(one.moved[name] for name in moved)]
-        table.add_row(
-            one.kind,
-            str(one.moments),
-            f"{one.ade:.1f}",
-            f"{one.fde:.1f}",
-            *map(share, shares),
-            end_section=one.kind in ("all", "crossing"),
-        )
-    return table
+        told = [one.kind, str(one.moments), f"{one.ade:.1f}", f"{one.fde:.1f}"]
+        rows.append([*told, *map(share, shares)])
+    return names, rows
