@@ -36,7 +36,7 @@ RECIPES = {
     "scene": 4,
     "evaluation": 3,
     "truth": 5,
-    "rollout": 7,
+    "rollout": 8,
     "scene-level": 3,
     "metrics": 8,
     "report": 8,

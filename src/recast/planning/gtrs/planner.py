@@ -6,7 +6,7 @@ Released Lightning checkpoints are read too; weights are loaded strictly.
 from __future__ import annotations
 
 import shutil
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -219,8 +219,7 @@ class GtrsPlanner(BasePlanner):
             trajectories, weights = np.concatenate([trajectories, extra]), COMBINED
         elif proposals_only:
             raise ValueError("GtrsPlanner.decide: proposals_only needs proposals")
-        with torch.no_grad():
-            features = self.model.backbone(network_input(stitched)[None].to(self.model.device))
+        features = self._features([stitched])
         earlier = self._remembered(features, observation.timestamp_us)
         decision = self._scored(features, status, trajectories, weights, earlier)
         return replace(decision, first=len(self.vocabulary)) if proposals_only else decision
@@ -273,10 +272,16 @@ class GtrsPlanner(BasePlanner):
             InputError: the network's answer is not finite.
         """
         images = [one for one in (stitched, earlier) if one is not None]
-        pictures = torch.stack([network_input(one) for one in images]).to(self.model.device)
-        now, *before = self.model.backbone(pictures).split(1)
+        now, *before = self._features(images).split(1)
         seen = before[0] if before else None
         return self._scored(now, status, self.vocabulary, self.weights, seen)
+
+    @torch.no_grad()
+    def _features(self, pictures: Sequence[Image]) -> Tensor:
+        # Channels last, as the pictures come: the small model takes a fifth less on a CPU.
+        images = torch.stack([network_input(one) for one in pictures])
+        images = images.contiguous(memory_format=torch.channels_last)
+        return self.model.backbone(images.to(self.model.device))
 
     @torch.no_grad()
     def _scored(
