@@ -8,7 +8,7 @@ import numpy as np
 
 from recast.arrays import Int64Array
 from recast.geometry import se2
-from recast.logs import DrivingLog
+from recast.logs import DrivingLog, HdMap
 from recast.planning import ReferenceRoute
 from recast.planning.map import planner_map, route_blocks
 from recast.planning.pdm import Centreline
@@ -82,13 +82,18 @@ def stage_of(world: World, actors: tuple[str, ...]) -> SampleStage:
     """The stage of a world, of whose vehicles some are placed."""
     log = DrivingLog(world.name, {}, {}, world.ego, {}, map=world.street.map)
     route = ReferenceRoute.from_trajectory(world.ego)
-    lanes = planner_map(world.street.map)
+    road = target_road(route, world.street.map)
+    surface = RoadSurface.from_log(world.ego, route, world.street.map.ground)
+    return SampleStage(world, log, route, surface, road, actors)
+
+
+def target_road(route: ReferenceRoute, hd_map: HdMap) -> TargetRoad:
+    """Where a driver of a route shall go, at the speeds of its log."""
+    lanes = planner_map(hd_map)
     places = np.linspace(0.0, route.length, int(2 * route.length) + 1)
-    road = TargetRoad(
+    return TargetRoad(
         map=lanes,
         lanes=lanes.lanes_of(route_blocks(lanes, route)),
         middle=Centreline(route.pose(places)),
         speeds=np.maximum(route.logged_speed(places), _SLOWEST),
     )
-    surface = RoadSurface.from_log(world.ego, route, world.street.map.ground)
-    return SampleStage(world, log, route, surface, road, actors)
