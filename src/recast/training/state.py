@@ -361,16 +361,16 @@ class TrainingState:
                 raise InputError(path, name, "holds NaN or infinite values", _MEND)
         try:
             for name, module in self.modules.items():
-                module.load_state_dict(_below(tensors, f"model/{name}/"))
+                module.load_state_dict(below(tensors, f"model/{name}/"))
         except RuntimeError as error:
             reason = str(error).splitlines()[-1].strip()
             raise InputError(
                 path, "weights", f"belong to another network ({reason})", _MEND
             ) from None
         for name, average in self.averages.items():
-            average.load_state_dict(_below(tensors, f"average/{name}/"), path)
+            average.load_state_dict(below(tensors, f"average/{name}/"), path)
         for index, parameter in enumerate(self.parameters()):
-            moments = _below(tensors, f"optimiser/{index}/")
+            moments = below(tensors, f"optimiser/{index}/")
             expected = {k: () if k == "step" else tuple(parameter.shape) for k in _MOMENTS}
             if moments and {k: tuple(v.shape) for k, v in moments.items()} != expected:
                 raise InputError(path, f"optimiser/{index}", "belongs to another optimiser", _MEND)
@@ -423,7 +423,8 @@ def _check_settings(path: Path, header: _Header, settings: TrainerSettings) -> N
         )
 
 
-def _below(tensors: Mapping[str, Tensor], prefix: str) -> dict[str, Tensor]:
+def below(tensors: Mapping[str, Tensor], prefix: str) -> dict[str, Tensor]:
+    """Those whose names begin with a prefix, without it."""
     return {
         name.removeprefix(prefix): value
         for name, value in tensors.items()

@@ -30,6 +30,7 @@ from recast.splats import Gaussians, LowPass, concatenate
 from recast.splats.adam import RowAdam
 from recast.splats.gaussians import quat_multiply, quat_to_matrix
 from recast.splats.sh import C0
+from recast.training.state import below
 
 FIELDS = ("means", "quats", "log_scales", "logit_opacities", "sh")
 Step = Callable[[], None]
@@ -475,8 +476,7 @@ class FreeDescent:
         with torch.no_grad():
             for name, value in self._parameters.items():
                 value.copy_(tensors[f"value.{name}"])
-        adams = {name: one for name, one in tensors.items() if name.startswith("adam.")}
-        self._adams.load_state_dict({n.removeprefix("adam."): one for n, one in adams.items()})
+        self._adams.load_state_dict(below(tensors, "adam."))
         self.index, self._worse = int(numbers["index"]), int(numbers["worse"])
         self.best_loss = float(numbers["loss"])
         self.best, self.best_shadow = (
@@ -530,10 +530,4 @@ class AdamDescent:
     def load_state_dict(self, state: dict[str, Tensor]) -> None:
         """Go on from `state_dict`."""
         for name, adam in self._adams.items():
-            adam.load_state_dict(
-                {
-                    key.removeprefix(f"{name}."): value
-                    for key, value in state.items()
-                    if key.startswith(f"{name}.")
-                }
-            )
+            adam.load_state_dict(below(state, f"{name}."))

@@ -375,10 +375,8 @@ class GtrsModel(nn.Module):
         Returns:
             head name to (B, L); see `final_score`.
         """
-        features = self.backbone(images)
-        if self.config.history is None or earlier is None:
-            return self.score(features, status, trajectories)
-        return self.score(features, status, trajectories, self.backbone(earlier), known)
+        before = None if earlier is None else self.backbone(earlier)
+        return self.score(self.backbone(images), status, trajectories, before, known)
 
     @torch.no_grad()
     def initialise(self, generator: torch.Generator) -> None:

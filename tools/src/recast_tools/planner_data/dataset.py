@@ -125,10 +125,15 @@ def make_dataset(
 
 def _start(worker: int, out: Path, record: DatasetRecord, store: str) -> Callable[[int], None]:
     del worker  # makes no difference
-    return partial(make_world_samples, out, record=record, store=open_store(store))
+    driver = Driver(
+        read_vocabulary(out / VOCABULARY_FILE), out / DRIVER_FOLDER if record.driver else None
+    )
+    return partial(make_world_samples, out, record=record, driver=driver, store=open_store(store))
 
 
-def make_world_samples(out: Path, number: int, record: DatasetRecord, store: Store) -> None:
+def make_world_samples(
+    out: Path, number: int, record: DatasetRecord, driver: Driver, store: Store
+) -> None:
     """Make the samples of one world; they depend on the record, the vocabulary, the driver and the
     number.
 
@@ -136,9 +141,7 @@ def make_world_samples(out: Path, number: int, record: DatasetRecord, store: Sto
     """
     scene = record.scene_of(number)
     seed = FIRST_SEED + _WORLDS_PER_SEED * record.seed + number
-    vocabulary = read_vocabulary(out / VOCABULARY_FILE)
-    driver = Driver(vocabulary, out / DRIVER_FOLDER if record.driver else None)
-    shown = None
+    vocabulary, shown = driver.vocabulary, None
     if record.is_reconstructed(number):
         shown = reconstruct(make_world(scene, seed, record.seconds), store, record.street_steps)
     stage = make_stage(scene, seed, record.seconds) if shown is None else shown.stage
@@ -216,11 +219,12 @@ class Driver:
     every second drive.
 
     Args:
+        vocabulary: what the expert chooses from.
         planner: folder of a GTRS planner; None for the expert alone.
     """
 
     def __init__(self, vocabulary: Trajectories, planner: Path | None) -> None:
-        self._vocabulary = vocabulary
+        self.vocabulary = vocabulary
         self._planner = None if planner is None else load_gtrs(planner)
         self._sees = False
 
@@ -245,12 +249,12 @@ class Driver:
             seen = self._planner.judge(sample.image, sample.status[0], before)
             return seen.trajectories[seen.best]
         if rng.uniform() < _MISTAKEN:
-            begins = self._vocabulary[:, 0, 0] / 0.1  # m/s
+            begins = self.vocabulary[:, 0, 0] / 0.1  # m/s
             like = np.abs(begins - sample.status[0, 4]) < _LIKE
             possible = np.flatnonzero(like & (targets.scores[[1, 4, 5]] > 0).all(axis=0))  # in lane
             if len(possible):
-                return self._vocabulary[int(rng.choice(possible))]
-        return self._vocabulary[targets.best]
+                return self.vocabulary[int(rng.choice(possible))]
+        return self.vocabulary[targets.best]
 
 
 def _painter(

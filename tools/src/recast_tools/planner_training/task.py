@@ -132,9 +132,8 @@ class GtrsTask:
         mirrored = rng.uniform(size=len(chosen)) < 0.5
         known = (self.store.before[chosen] >= 0) & (rng.uniform(size=len(chosen)) > _FORGOTTEN)
         # What one of two twins lacks must not tell it from the other.
-        both = np.where(twins >= 0, known[: len(drawn)] & known[len(drawn) :], False)
-        halves = (known[: len(drawn)], known[len(drawn) :])
-        known = np.concatenate([np.where(twins >= 0, both, half) for half in halves])
+        pairs = known.reshape(2, -1)
+        known = np.where(twins >= 0, pairs.all(axis=0), pairs).ravel()
         images = [
             augment(self.picture(index, bool(there)), rng)
             for index, there in zip(chosen, known, strict=True)
@@ -211,9 +210,8 @@ class GtrsTask:
         if batch.earlier is None:
             features = self.model.backbone(batch.images)
         else:
-            features, earlier = self.model.backbone(torch.cat([batch.images, batch.earlier])).chunk(
-                2
-            )
+            both = torch.cat([batch.images, batch.earlier])
+            features, earlier = self.model.backbone(both).chunk(2)
         logits = self.logits(features, batch, earlier)
         terms = training_loss(logits, batch.targets, batch.trajectories, batch.demonstration)
         read = self.reader(self.model.image_tokens(features))
