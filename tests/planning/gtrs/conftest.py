@@ -10,6 +10,8 @@ import pytest
 import torch
 from safetensors.torch import load_file
 
+from recast.dynamics import make_state
+from recast.planning import DrivingCommand, PlannerInput
 from recast.planning.gtrs import (
     GtrsModel,
     GtrsPlanner,
@@ -53,6 +55,14 @@ def tiny_vocabulary(released_vocabulary: torch.Tensor) -> torch.Tensor:
 def planner() -> GtrsPlanner:
     model = new_model(TINY, torch.Generator().manual_seed(1))
     return GtrsPlanner(model, fan(12), VIEWS, name="tiny", top_k=3)
+
+
+@pytest.fixture
+def observation() -> PlannerInput:
+    rng = np.random.default_rng(0)
+    images = {name: rng.integers(0, 256, (32, 48, 3), np.uint8) for name in VIEWS.cameras}
+    state = make_state([5.0, 0.1, 0.02], speed=6.0)
+    return PlannerInput(0, 0, state, state[None], (), DrivingCommand.STRAIGHT, images)
 
 
 @pytest.fixture

@@ -44,14 +44,6 @@ def context() -> PlanningContext:
     )
 
 
-@pytest.fixture
-def observation() -> PlannerInput:
-    rng = np.random.default_rng(0)
-    images = {name: rng.integers(0, 256, (32, 48, 3), np.uint8) for name in VIEWS.cameras}
-    state = make_state([5.0, 0.1, 0.02], speed=6.0)
-    return PlannerInput(0, 0, state, state[None], (), DrivingCommand.STRAIGHT, images)
-
-
 def test_it_is_a_planner_that_says_what_it_wants_to_see(planner: GtrsPlanner) -> None:
     assert isinstance(planner, Planner)
     assert planner.needs_images and planner.camera_names is None

@@ -15,6 +15,8 @@ import pytest
 from recast.core import open_store
 from recast.core.errors import InputError
 from recast.dynamics import PACIFICA
+from recast.planning.gtrs.config import PRIMITIVES
+from recast.planning.types import ego_status
 from recast.synthetic import make_world
 from recast.weights import shipped_folder
 from recast_tools.planner_data import reconstruction
@@ -28,8 +30,7 @@ from recast_tools.planner_training.samples import (
     SampleStore,
     world_folder,
 )
-from recast_tools.planner_training.targets import score_vocabulary, touched
-from recast_tools.planner_training.vocabulary import cruising, make_vocabulary
+from recast_tools.planner_training.targets import score_trajectories, touched
 
 pytest.importorskip("embreex")
 
@@ -72,7 +73,7 @@ def test_a_drive_goes_on_from_where_its_driver_brought_it(stage: SampleStage) ->
     for drive in drives(stage, 12):
         first = drive.situation(1, rng)
         assert first is not None
-        drive.go(cruising([float(drive.state[3])])[0])
+        drive.go(float(drive.state[3]) * np.arange(0.1, 4.1, 0.1)[:, None] * [1.0, 0.0, 0.0])
         then = drive.situation(1, rng)
         if then is None:
             continue
@@ -93,35 +94,38 @@ def test_a_drive_goes_on_from_where_its_driver_brought_it(stage: SampleStage) ->
 
 def test_an_expert_gets_through_most_drives(stage: SampleStage) -> None:
     """What no driver could master would teach nothing."""
-    vocabulary, rng = make_vocabulary(128), np.random.default_rng(0)
+    rng = np.random.default_rng(0)
     good = moments = 0
     for drive in drives(stage, 8):
         while (found := drive.situation(1, rng)) is not None:
-            told = score_vocabulary(vocabulary, found.states[0], stage.road, found.obstacles)
+            state = found.states[0]
+            possible = PRIMITIVES.trajectories(ego_status(found.command, state)[None])[0]
+            told = score_trajectories(possible, state, stage.road, found.obstacles)
             moments += 1
             good += bool(told.total.max() > 0.5)
-            drive.go(vocabulary[told.best].astype(np.float64))
+            drive.go(possible[told.best].astype(np.float64))
     assert moments > 16
     assert good >= 0.9 * moments
 
 
 def test_a_dataset_of_one_world(tmp_path: Path) -> None:
-    out, vocabulary = tmp_path / "data", make_vocabulary(64)
-    assert make_dataset(out, 1, RECORD, vocabulary) == 2
+    out = tmp_path / "data"
+    assert make_dataset(out, 1, RECORD) == 2
     store = SampleStore(out)
     assert store.image(0).shape == (128, 512, 3)
     assert store.image(0).std() > 10
-    assert store.scores.shape == (2, 1, 6, 64)
+    assert store.scores.shape == (2, 1, 6, len(PRIMITIVES))
     assert store.status.shape == (2, 1, 8)
     assert store.by_renderer() == {"oracle": 2, "native": 0, "replaced": 0, "refined": 0}
     assert not (tmp_path / "store").exists()
     written = {path: path.stat().st_mtime_ns for path in out.rglob("*") if path.is_file()}
-    assert make_dataset(out, 2, RECORD, vocabulary) == 2
+    assert make_dataset(out, 2, RECORD) == 2
     assert all(path.stat().st_mtime_ns == then for path, then in written.items())
     with pytest.raises(InputError, match="settings"):
-        make_dataset(out, 1, RECORD.model_copy(update={"seed": 1}), vocabulary)
+        make_dataset(out, 1, RECORD.model_copy(update={"seed": 1}))
+    (tmp_path / "file").touch()
     with pytest.raises(InputError, match="another folder"):
-        make_dataset(out, 1, RECORD, make_vocabulary(64, seed=1))
+        make_dataset(tmp_path, 1, RECORD)
 
 
 @pytest.mark.slow
@@ -139,8 +143,8 @@ def test_a_reconstructed_world_shows_its_target_in_three_ways(
         reconstructed=1.0,
         street_steps=30,
     )
-    out, again, vocabulary = tmp_path / "data", tmp_path / "again", make_vocabulary(64)
-    make_dataset(out, 1, record, vocabulary)
+    out, again = tmp_path / "data", tmp_path / "again"
+    make_dataset(out, 1, record)
     made = sorted(path.name for path in (tmp_path / "store").iterdir())
     assert {"actors", "logs", "scenes"} <= set(made)
     store = SampleStore(out)
@@ -156,7 +160,7 @@ def test_a_reconstructed_world_shows_its_target_in_three_ways(
 
     for name in ("drive_log", "train_scene", "make_actor", "refine_actor"):
         monkeypatch.setattr(f"recast.runs.making.{name}", making)
-    make_dataset(again, 1, record, vocabulary)
+    make_dataset(again, 1, record)
     for path in sorted(path for path in out.rglob("*.*") if path.is_file()):
         assert (again / path.relative_to(out)).read_bytes() == path.read_bytes()
 
@@ -183,17 +187,15 @@ def test_a_target_that_is_hardly_seen_is_no_error_and_a_full_disk_is_one(
 
 @pytest.mark.slow
 def test_killed_and_repeated_it_has_the_same_bytes(tmp_path: Path) -> None:
-    vocabulary = make_vocabulary(64)
-    make_dataset(tmp_path / "whole", 4, RECORD, vocabulary, workers=2)
-    np.save(tmp_path / "vocabulary.npy", vocabulary)
+    make_dataset(tmp_path / "whole", 4, RECORD, workers=2)
     code = (
-        "import sys, numpy as np\n"
+        "import sys\n"
         "from pathlib import Path\n"
         "from recast_tools.planner_data.dataset import make_dataset\n"
         "from recast_tools.planner_training.samples import DatasetRecord\n"
         f"record = DatasetRecord.model_validate({RECORD.model_dump()!r})\n"
         "folder = Path(sys.argv[1])\n"
-        "make_dataset(folder / 'parts', 4, record, np.load(folder / 'vocabulary.npy'))\n"
+        "make_dataset(folder / 'parts', 4, record)\n"
     )
     command = [sys.executable, "-c", code, str(tmp_path)]
     first = subprocess.Popen(command)
@@ -213,19 +215,20 @@ def test_killed_and_repeated_it_has_the_same_bytes(tmp_path: Path) -> None:
 
 def test_a_planner_may_drive_and_datasets_go_together(tmp_path: Path) -> None:
     """Every second drive is the planner's; the training takes both folders as one."""
-    vocabulary = make_vocabulary(64)
     record = RECORD.model_copy(update={"driver": "of-the-weights"})
     driver = shipped_folder("gtrs-mini")
-    make_dataset(tmp_path / "expert", 1, RECORD, vocabulary)
-    make_dataset(tmp_path / "planner", 1, record, vocabulary, driver=driver)
+    make_dataset(tmp_path / "expert", 1, RECORD)
+    make_dataset(tmp_path / "planner", 1, record, driver=driver)
     both = SampleStore(tmp_path / "expert", tmp_path / "planner")
     assert len(both) == 4
     parts = [SampleStore(tmp_path / name) for name in ("expert", "planner")]
     np.testing.assert_array_equal(both.image(3), parts[1].image(1))
     twins = np.flatnonzero(both.twin >= 0)
     np.testing.assert_array_equal(both.twin[both.twin[twins]], twins)
-    make_dataset(tmp_path / "other", 1, RECORD, make_vocabulary(64, seed=1))
-    with pytest.raises(InputError, match="vocabulary"):
+    paces = PRIMITIVES.model_copy(update={"paces": PRIMITIVES.paces[:3]})
+    few = RECORD.model_copy(update={"primitives": paces})
+    make_dataset(tmp_path / "other", 1, few)
+    with pytest.raises(InputError, match="primitives"):
         SampleStore(tmp_path / "expert", tmp_path / "other")
     with pytest.raises(InputError, match="settings"):  # of another driver
-        make_dataset(tmp_path / "expert", 1, record, vocabulary, driver=driver)
+        make_dataset(tmp_path / "expert", 1, record, driver=driver)

@@ -10,34 +10,24 @@ import pytest
 from recast.core.files import write_json
 from recast.dynamics import make_state
 from recast.planning import DrivingCommand
-from recast.planning.gtrs.scores import write_vocabulary
+from recast.planning.gtrs.config import PRIMITIVES
 from recast.planning.types import ego_status
 from recast_tools.planner_training.samples import (
     CLUES,
     RECORD_FILE,
-    VOCABULARY_FILE,
     DatasetRecord,
     Sample,
     world_folder,
     write_world,
 )
-from recast_tools.planner_training.targets import (
-    score_vocabulary,
-)
-from recast_tools.planner_training.vocabulary import make_vocabulary
+from recast_tools.planner_training.targets import score_trajectories
 from support.target_roads import moving, straight_road
 
 
 @pytest.fixture(scope="session")
-def vocabulary() -> np.ndarray:
-    return make_vocabulary(128, seed=0)
-
-
-@pytest.fixture(scope="session")
-def small_dataset(tmp_path_factory: pytest.TempPathFactory, vocabulary: np.ndarray) -> Path:
+def small_dataset(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Ten worlds of two twins each: a car on the road, as a red patch, and without."""
     folder = tmp_path_factory.mktemp("planner") / "data"
-    write_vocabulary(folder / VOCABULARY_FILE, vocabulary)
     record = DatasetRecord(per_world=2, speeds=2, scenes=("made-up",))
     write_json(folder / RECORD_FILE, record.model_dump(mode="json"))
     rng = np.random.default_rng(0)
@@ -52,11 +42,11 @@ def small_dataset(tmp_path_factory: pytest.TempPathFactory, vocabulary: np.ndarr
             if present:
                 image[60:90, 240:270] = 200, 20, 20
                 clues[:5] = 1, gap, 0, 1, 0
-            found = [
-                score_vocabulary(vocabulary, state, road, [moving(gap)] if present else [])
-                for state in states
-            ]
             status = np.stack([ego_status(DrivingCommand.STRAIGHT, state) for state in states])
+            found = [
+                score_trajectories(possible, state, road, [moving(gap)] if present else [])
+                for possible, state in zip(PRIMITIVES.trajectories(status), states, strict=True)
+            ]
             scores = np.stack([one.scores for one in found])
             best = np.array([one.best for one in found], np.int32)
             samples.append(Sample(image, status, scores, best, clues))

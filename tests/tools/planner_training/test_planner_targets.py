@@ -8,26 +8,33 @@ from recast.dynamics import PACIFICA, make_state, plan_to_poses, track
 from recast.dynamics import state as ego
 from recast.geometry import boxes
 from recast.geometry.boxes import bev_touching
+from recast.planning import DrivingCommand
+from recast.planning.gtrs.config import PRIMITIVES
 from recast.planning.pdm import AgentKind, Forecast
 from recast.planning.pdm.forecast import box_corners
 from recast.planning.pdm.scorer import EgoAreas, at_fault_collisions, time_to_collision
+from recast.planning.types import ego_status
 from recast_tools.planner_training.evaluate import true_scores
 from recast_tools.planner_training.targets import (
     FORESEEN,
     TargetObstacle,
     collisions,
-    score_vocabulary,
+    score_trajectories,
 )
-from recast_tools.planner_training.vocabulary import braking, mirror_index, smooth_braking
 from support.target_roads import moving, straight_road
 
 
+def possible(state: np.ndarray) -> np.ndarray:
+    return PRIMITIVES.trajectories(ego_status(DrivingCommand.STRAIGHT, state)[None])[0]
+
+
 @pytest.mark.parametrize("seed", range(4))
-def test_collisions_are_those_of_pdm_s_own_loops(vocabulary: np.ndarray, seed: int) -> None:
+def test_collisions_are_those_of_pdm_s_own_loops(seed: int) -> None:
     rng = np.random.default_rng(seed)
-    state = make_state(rng.normal(0, 1, 3), rng.uniform(0, 12))
-    start = np.broadcast_to(state, (len(vocabulary), 11))
-    states = track(start, plan_to_poses(start[:, :3], vocabulary.astype(np.float64)), 40)
+    state = make_state(rng.normal(0, 1, 3), rng.uniform(3, 12))
+    trajectories = possible(state).astype(np.float64)
+    start = np.broadcast_to(state, (len(trajectories), 11))
+    states = track(start, plan_to_poses(start[:, :3], trajectories), 40)
     obstacles = []
     for token in "abc":
         way = rng.uniform(-3.14, 3.14)
@@ -88,54 +95,61 @@ def test_overlap_is_that_of_polygons() -> None:
     assert 0 < found.sum() < 300
 
 
-def test_on_a_free_road_the_best_drives_on_at_the_wanted_speed(vocabulary: np.ndarray) -> None:
-    found = score_vocabulary(vocabulary, make_state(np.zeros(3), 9.0), straight_road(10.0), [])
-    assert vocabulary[found.best, -1, 0] == pytest.approx(38.5, abs=5.0)
-    assert abs(vocabulary[found.best, -1, 1]) < 1.0
+def test_on_a_free_road_the_best_drives_on_at_the_wanted_speed() -> None:
+    state = make_state(np.zeros(3), 9.0)
+    found = score_trajectories(possible(state), state, straight_road(10.0), [])
+    best = possible(state)[found.best, -1]
+    assert best[0] == pytest.approx(38.5, abs=1.5)
+    assert abs(best[1]) < 0.5
     assert found.scores[0].min() == 255
 
 
-def test_behind_a_standing_car_the_best_stops_before_it(vocabulary: np.ndarray) -> None:
+def test_behind_a_standing_car_the_best_stops_before_it() -> None:
     state, road = make_state(np.zeros(3), 9.0), straight_road()
-    found = score_vocabulary(vocabulary, state, road, [moving(30.0)])
-    best = vocabulary[found.best, -1]
+    found = score_trajectories(possible(state), state, road, [moving(30.0)])
+    best = possible(state)[found.best, -1]
     assert 8.0 < best[0] < 30.0 - 4.5 / 2 - 4.049
     assert found.scores[0].min() == 0
     assert true_scores(found.scores[None])[0, found.best] > 0.7
-    standing = score_vocabulary(vocabulary, make_state(np.zeros(3)), road, [moving(9.0)])
-    assert standing.best == 0
+    state = make_state(np.zeros(3))
+    standing = score_trajectories(possible(state), state, road, [moving(9.0)])
+    assert not possible(state)[standing.best].any()
 
 
 def test_of_two_stops_that_are_as_safe_the_comfortable_one_is_better() -> None:
-    hard, smooth = braking([8.0], 6.0), smooth_braking([8.0], 2.5)
-    both = np.concatenate([hard, smooth]).astype(np.float32)
     state = make_state(np.zeros(3), 8.0)
-    far, near = (score_vocabulary(both, state, straight_road(), [moving(x)]) for x in (40.0, 17.0))
+    rates = [PRIMITIVES.paces[i].acceleration for i, _ in PRIMITIVES.entries]
+    both = possible(state)[[rates.index(-6.0), rates.index(-2.2)]]
+    far, near = (
+        score_trajectories(both, state, straight_road(), [moving(x)]) for x in (40.0, 19.0)
+    )
     assert (far.scores[0] == 255).all()
     assert far.best == 1
     np.testing.assert_array_equal(near.scores[0], [255, 0])
     assert near.best == 0
 
 
-def test_an_oncoming_car_counts_as_it_truly_moves(vocabulary: np.ndarray) -> None:
+def test_an_oncoming_car_counts_as_it_truly_moves() -> None:
     state, road = make_state(np.zeros(3), 8.0), straight_road()
     coming = moving(45.0, heading=np.pi, speed=6.0)
     stops = replace(coming, poses=coming.poses[np.minimum(np.arange(FORESEEN + 1), 5)])
-    through, waits = (score_vocabulary(vocabulary, state, road, [one]) for one in (coming, stops))
+    through, waits = (
+        score_trajectories(possible(state), state, road, [one]) for one in (coming, stops)
+    )
     assert waits.scores[0].mean() > through.scores[0].mean()
 
 
-def test_beside_the_lane_the_best_comes_back(vocabulary: np.ndarray) -> None:
+def test_beside_the_lane_the_best_comes_back() -> None:
     state = make_state(np.array([0.0, 1.0, 0.0]), 8.0)
-    found = score_vocabulary(vocabulary, state, straight_road(), [])
-    assert vocabulary[found.best, -1, 1] < -0.4
+    found = score_trajectories(possible(state), state, straight_road(), [])
+    assert possible(state)[found.best, -1, 1] < -0.4
 
 
-def test_the_mirrored_street_gives_the_mirrored_scores(vocabulary: np.ndarray) -> None:
+def test_the_mirrored_street_gives_the_mirrored_scores() -> None:
     road = straight_road()
     here, there = moving(25.0, 0.8, 0.2, 3.0), moving(25.0, -0.8, -0.2, 3.0)
     left = make_state(np.array([0.0, 0.4, 0.05]), 8.0, 0.5, 0.1)
     right = make_state(np.array([0.0, -0.4, -0.05]), 8.0, 0.5, -0.1)
-    one = score_vocabulary(vocabulary, left, road, [here])
-    other = score_vocabulary(vocabulary, right, road, [there])
-    np.testing.assert_array_equal(one.scores, other.scores[:, mirror_index(vocabulary)])
+    one = score_trajectories(possible(left), left, road, [here])
+    other = score_trajectories(possible(right), right, road, [there])
+    np.testing.assert_array_equal(one.scores, other.scores[:, PRIMITIVES.mirror])

@@ -33,7 +33,6 @@ from recast_tools.planner_training.task import (
     first_model,
 )
 from recast_tools.planner_training.train import export_planner, train_planner
-from recast_tools.planner_training.vocabulary import mirror_index
 
 TINY = GtrsConfig(
     backbone=BackboneConfig(
@@ -146,7 +145,7 @@ def test_a_training_may_begin_from_a_planner(small_dataset: Path, tmp_path: Path
 
 
 def test_a_batch_holds_every_speed_of_a_picture(small_dataset: Path) -> None:
-    """With part of the vocabulary and a mirror, entries are those taken one by one."""
+    """With part of the primitives and a mirror, entries are those taken one by one."""
     store = SampleStore(small_dataset)
     model = first_model(0, TINY)
     reader = ClueReader(TINY.channels, torch.Generator().manual_seed(0))
@@ -155,20 +154,21 @@ def test_a_batch_holds_every_speed_of_a_picture(small_dataset: Path) -> None:
     mirrored = np.array([False, True])
     both = task.gather(chosen, np.arange(2), mirrored, scored=scored)
     assert both.images.shape[0] == 2
-    torch.testing.assert_close(both.trajectories, task.vocabulary[torch.from_numpy(scored)])
+    possible = torch.from_numpy(store.record.primitives.trajectories(both.status.numpy()))
+    torch.testing.assert_close(both.trajectories, possible[:, scored])
     for k in range(2):
         alone = task.gather(chosen, np.array([k]), mirrored)
         torch.testing.assert_close(both.status[k::2], alone.status)
         torch.testing.assert_close(both.demonstration[k::2], alone.demonstration)
         for name, values in alone.targets.items():
             torch.testing.assert_close(both.targets[name][k::2], values[:, scored])
-    twice = mirror_index(store.vocabulary)
+    twice = store.record.primitives.mirror
     straight = task.gather(chosen[1:], np.arange(2), np.array([False]))
     name = "no_at_fault_collisions"
     torch.testing.assert_close(both.targets[name][2:], straight.targets[name][:, twice[scored]])
     features = model.backbone(both.images)
     logits = task.logits(features, both)
-    one = model.score(features[1:], both.status[3:], both.trajectories)
+    one = model.score(features[1:], both.status[3:], both.trajectories[3:])
     torch.testing.assert_close(logits[name][3:], one[name])
 
 

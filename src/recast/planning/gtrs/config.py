@@ -1,22 +1,24 @@
-"""Sizes of a GTRS model, and the layout of the three camera images that it sees as one."""
+"""Settings of a GTRS planner: sizes of its model, layout of its images, what it chooses from."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Annotated, Self
+from typing import Annotated, Literal, Self
 
 import cv2
 import numpy as np
 import torch
+from numpy.typing import ArrayLike, NDArray
 from pydantic import Field, model_validator
 from torch import Tensor
 
-from recast.arrays import Image
+from recast.arrays import Array, Image
 from recast.cameras import PinholeCamera
 from recast.cameras.mounts import NUPLAN_CAMERAS, View
 from recast.core.errors import InputError
 from recast.core.records import Record
 from recast.planning.cameras import require_cameras
+from recast.planning.types import WAYPOINTS
 
 Count = Annotated[int, Field(gt=0, le=65536, strict=True)]
 """A positive whole number; the upper bound keeps a typing error from asking for all memory."""
@@ -223,6 +225,197 @@ class ViewLayout(Record):
         }
         return self.model_validate(self.model_dump() | changed)
 
+
+class Pace(Record):
+    """One speed of a motion primitive: an acceleration, m/s^2, between two times, s, else none.
+
+    Attributes:
+        everywhere: combined with every path; else with the main ones alone.
+    """
+
+    acceleration: float = Field(ge=-10.0, le=5.0)
+    begins: float = Field(default=0.0, ge=0.0, le=4.0)
+    ends: float = Field(default=4.0, ge=0.0, le=4.0)
+    everywhere: bool = False
+
+
+class PrimitivePath(Record):
+    """One path of a motion primitive, against the bend that the ego drives at present.
+
+    All lengths are shares of the reach, see `MotionPrimitives`.
+
+    Attributes:
+        kind: "bend": the curvature changes, and stays; "straight": it falls to zero; "shift": the
+            ego moves aside, and heads as before; "turn": its heading changes, its bend does not.
+        by: metres aside at the end of the reach; of a turn, radians. To the left is positive.
+        over: the share of the reach that it takes.
+        main: combined with every pace.
+    """
+
+    kind: Literal["bend", "straight", "shift", "turn"]
+    by: float = 0.0
+    over: float = Field(default=0.25, gt=0.0, le=1.0)
+    main: bool = False
+
+
+class MotionPrimitives(Record):
+    """Trajectories that begin as the ego moves now: a vocabulary that goes with its state.
+
+    A fixed vocabulary spends most of its entries on speeds and bends other than the present ones,
+    and what is nearest begins with a jolt. Each primitive here is a pace along a path: the
+    acceleration goes from the present one to the wanted one with limited jerk, down to standing
+    still; the path begins with the present bend. The reach, at which paths are told, is what 4 s
+    at the present speed cover, or `least_reach` if that is more.
+
+    Attributes:
+        paces, paths: what is combined.
+        least_reach: metres.
+    """
+
+    paces: tuple[Pace, ...] = Field(min_length=1, max_length=64)
+    paths: tuple[PrimitivePath, ...] = Field(min_length=1, max_length=256)
+    least_reach: float = Field(default=12.0, gt=0.0)
+
+    @property
+    def entries(self) -> NDArray[np.int64]:
+        """(L, 2) index of the pace and of the path of each primitive."""
+        found = [
+            (i, j)
+            for j, path in enumerate(self.paths)
+            for i, pace in enumerate(self.paces)
+            if path.main or pace.everywhere
+        ]
+        return np.array(found, np.int64).reshape(-1, 2)
+
+    @property
+    def mirror(self) -> NDArray[np.int64]:
+        """(L,) for each primitive the one that is its mirror image, where the ego's bend is
+        mirrored, too.
+
+        Raises:
+            InputError: a path has none.
+        """
+        other = {path: j for j, path in enumerate(self.paths)}
+        twins = []
+        for j, path in enumerate(self.paths):
+            twin = other.get(path.model_copy(update={"by": -path.by + 0.0}))
+            if twin is None:
+                raise InputError("primitives", f"path {j}", "has no mirror image", "add it")
+            twins.append(twin)
+        order = {(i, j): index for index, (i, j) in enumerate(self.entries.tolist())}
+        return np.array([order[i, twins[j]] for i, j in self.entries.tolist()], np.int64)
+
+    @model_validator(mode="after")
+    def _something_to_choose(self) -> Self:
+        if len(self.entries) == 0:
+            raise ValueError("no path is `main`, and no pace `everywhere`: nothing is combined")
+        return self
+
+    def __len__(self) -> int:
+        return len(self.entries)
+
+    def trajectories(self, status: ArrayLike) -> NDArray[np.float32]:
+        """(K, L, 40, 3) x, y, heading at 0.1 s .. 4 s in the present ego frame.
+
+        Args:
+            status: (K, 8), see `ego_status`.
+        """
+        status = np.asarray(status, np.float64)
+        speed = np.maximum(status[:, 4], 0.0)
+        rate = np.clip(status[:, 6], *_PRESENT_RATES)
+        bend = status[:, 7] / np.maximum(speed, 1.0) ** 2
+        bend = np.clip(bend, -_SHARPEST, _SHARPEST)
+        paces, along = self.entries.T
+        s = self._driven(speed, rate)[:, paces]  # (K, L, 41)
+        reach = np.maximum(speed * WAYPOINTS * _DT, self.least_reach)
+        heading = np.empty((*s.shape[:2], 2 * WAYPOINTS))
+        steps = np.diff(s, axis=-1)
+        # At the middle of each step, where the way leads, and at its end.
+        places = np.stack([s[..., :-1] + steps / 2, s[..., 1:]], axis=-1).reshape(heading.shape)
+        for j, path in enumerate(self.paths):
+            rows = along == j
+            heading[:, rows] = _headings(path, places[:, rows], speed, bend, reach)
+        x = np.cumsum(steps * np.cos(heading[..., 0::2]), axis=-1)
+        y = np.cumsum(steps * np.sin(heading[..., 0::2]), axis=-1)
+        return np.stack([x, y, heading[..., 1::2]], axis=-1).astype(np.float32)
+
+    def _driven(self, speed: Array, rate: Array) -> Array:
+        """Metres (K, P, 41) driven from speeds (K,) and accelerations (K,)."""
+        wanted = np.array([one.acceleration for one in self.paces])
+        begins, ends = np.array([(one.begins, one.ends) for one in self.paces]).T
+        jerk = np.where(wanted < _HARD, _JERKS[1], _JERKS[0]) * _DT
+        now = np.repeat(rate[:, None], len(wanted), axis=1)
+        speeds = [np.repeat(speed[:, None], len(wanted), axis=1)]
+        for step in range(WAYPOINTS):
+            time = (step + 0.5) * _DT
+            goal = np.where((begins <= time) & (time < ends), wanted, 0.0)
+            # Braking ends gently: sqrt(2 v jerk) at a speed v, with a margin for the steps' length.
+            goal = np.maximum(goal, -np.sqrt(2.0 * speeds[-1] * _ENDING * jerk / _DT))
+            later = now + np.clip(goal - now, -jerk, jerk)
+            speeds.append(np.maximum(speeds[-1] + _DT * (now + later) / 2, 0.0))
+            now = np.where(speeds[-1] > 0.0, later, np.maximum(later, 0.0))
+        run = np.stack(speeds, axis=-1)
+        driven = np.cumsum(_DT * (run[..., 1:] + run[..., :-1]) / 2, axis=-1)
+        return np.concatenate([np.zeros_like(run[..., :1]), driven], axis=-1)
+
+
+_DT = 0.1
+_PRESENT_RATES = (-6.0, 2.4)
+"""m/s^2 of the ego that primitives go on from."""
+_SHARPEST, _SIDEWAYS = 0.18, 5.0
+"""1/m, and m/s^2 of lateral acceleration: no primitive asks for more."""
+_HARD, _JERKS, _ENDING = -2.3, (3.5, 7.0), 0.45
+"""m/s^2 below which a pace brakes hard, the jerk, m/s^3, of the others and of these (the metric
+COM allows 8.37), and the share of it with which braking ends."""
+
+
+def _headings(path: PrimitivePath, s: Array, speed: Array, bend: Array, reach: Array) -> Array:
+    """Headings (K, N, T) on a path at s (K, N, T) metres; speed, bend and reach are (K,)."""
+    bend, reach = bend[:, None, None], reach[:, None, None]
+    over = np.maximum(path.over * reach, 2.0)
+    u = np.minimum(s / over, 1.0)
+    if path.kind == "shift":
+        slope = path.by / over * 30.0 * u**2 * (1.0 - u) ** 2
+        return np.asarray(bend * s + np.clip(slope, -0.3, 0.3))
+    if path.kind == "turn":
+        return np.asarray(bend * s + path.by * u**2 * (3.0 - 2.0 * u))
+    share = over / reach
+    more = path.by / (reach**2 * (share**2 / 6.0 + (1.0 - share) / 2.0))
+    more = -bend if path.kind == "straight" else more
+    limit = np.minimum(_SHARPEST, _SIDEWAYS / np.maximum(speed, 1.0) ** 2)[:, None, None]
+    more = np.clip(bend + more, -limit, limit) - bend
+    # The curvature changes linearly over the share, and stays.
+    return np.asarray(bend * s + more * np.where(s < over, s * u / 2.0, s - over / 2.0))
+
+
+def _standard_primitives() -> MotionPrimitives:
+    held = (-6.0, -4.0, -3.0, -2.2, -1.6, -1.1, -0.7, -0.35, 0.0, 0.35, 0.7, 1.2, 1.8, 2.3)
+    everywhere = (-4.0, -2.2, -0.7, 0.0, 0.7, 1.8)
+    parts = ((-3.0, 0.0, 1.5), (-1.5, 0.0, 2.0), (1.2, 0.0, 2.0))
+    late = ((-4.0, 1.2, 4.0), (-2.2, 1.2, 4.0), (-1.1, 1.2, 4.0))
+    paces = [Pace(acceleration=a, everywhere=a in everywhere) for a in held]
+    paces += [Pace(acceleration=a, begins=b, ends=e) for a, b, e in (*parts, *late)]
+    paths = [
+        PrimitivePath(kind="bend", main=True),
+        PrimitivePath(kind="straight", main=True),
+        PrimitivePath(kind="straight", over=1.0, main=True),
+    ]
+    beside: list[tuple[Literal["bend", "shift", "turn"], float, float, bool]] = [
+        *(("bend", by, 0.25, by < 2.0) for by in (0.7, 1.8, 4.0, 8.0, 15.0, 27.0)),
+        *(("bend", by, 1.0, False) for by in (1.0, 3.0, 8.0)),
+        *(("shift", by, 1.0, False) for by in (0.4, 1.0, 3.4)),
+        *(("turn", by, 0.25, False) for by in (0.04, 0.1)),
+    ]
+    paths += [
+        PrimitivePath(kind=kind, by=sign * by, over=over, main=main)
+        for kind, by, over, main in beside
+        for sign in (1.0, -1.0)
+    ]
+    return MotionPrimitives(paces=tuple(paces), paths=tuple(paths))
+
+
+PRIMITIVES = _standard_primitives()
+"""284 of them: from emergency braking to brisk driving on, along the lane and into side roads."""
 
 WAYMO_NATIVE = ViewLayout(
     width=960, height=640, crop_rows=64, crop_columns=208, input_width=2048, input_height=512

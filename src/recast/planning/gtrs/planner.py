@@ -19,7 +19,7 @@ from pydantic import Field
 from safetensors.torch import save
 from torch import Tensor
 
-from recast.arrays import Float32Array, Image
+from recast.arrays import Array, Float32Array, Image
 from recast.cameras import CameraMount
 from recast.cameras.mounts import choose_views, directions
 from recast.core.errors import InputError
@@ -28,7 +28,13 @@ from recast.core.records import Record, read_record
 from recast.core.torch_file import read_safetensors, read_torch_file, require_state
 from recast.dynamics.tracker import comfortable_plans
 from recast.planning.cameras import require_cameras
-from recast.planning.gtrs.config import WAYMO_NATIVE, GtrsConfig, ViewLayout, network_input
+from recast.planning.gtrs.config import (
+    WAYMO_NATIVE,
+    GtrsConfig,
+    MotionPrimitives,
+    ViewLayout,
+    network_input,
+)
 from recast.planning.gtrs.model import IMITATION, GtrsModel, empty_model
 from recast.planning.gtrs.scores import (
     COMBINED,
@@ -79,6 +85,14 @@ class GtrsDecision:
         """Index of the chosen trajectory."""
         return int(np.argmax(self.scores[self.first :])) + self.first
 
+    def driven(self, blended: float) -> Array:
+        """(40, 3) the best trajectory, or the mean of those near it, see `ScoreWeights`."""
+        ends = self.trajectories[:, -1, :2].astype(np.float64)
+        near = np.linalg.norm(ends - ends[self.best], axis=1) <= blended
+        near[: self.first] = False
+        weights = np.exp(self.scores[near].astype(np.float64) - float(self.scores[self.best]))
+        return np.einsum("n,ntc->tc", weights / weights.sum(), self.trajectories[near])
+
     def top(self, count: int) -> Candidates:
         """The best trajectories, best first; fewer than `count` where there are no more."""
         chosen = self.order()[:count]
@@ -91,14 +105,16 @@ class GtrsDecision:
 class GtrsPlanner(BasePlanner):
     """Scores a vocabulary of trajectories against three camera images and drives the best.
 
-    The chosen entry is returned as it is: not smoothed, not blended. A model with a `history`
-    remembers what it saw of the images of a rollout, and looks again at the one that is nearest to
-    so many seconds ago, if it is less than half of that off. Nothing else is remembered from one
-    cycle to the next, but for what depends on the vocabulary alone, which is computed once.
+    The chosen entry is returned as it is, unless the weights say that those near it are blended in.
+    A model with a `history` remembers what it saw of the images of a rollout, and looks again at
+    the one that is nearest to so many seconds ago, if it is less than half of that off. Nothing
+    else is remembered from one cycle to the next, but for what depends on a vocabulary alone, which
+    is computed once.
 
     Args:
         model: model in evaluation mode, on the device it shall run on.
-        vocabulary: (L, 40, 3) trajectories, see `read_vocabulary`.
+        vocabulary: (L, 40, 3) trajectories, see `read_vocabulary`, or primitives that go with the
+            ego's state.
         views: layout of the pictures: which ones, and how they are stitched; of another size in the
             same proportion, they are stitched alike.
         name: name of the planner, for tables and messages.
@@ -114,7 +130,7 @@ class GtrsPlanner(BasePlanner):
     def __init__(
         self,
         model: GtrsModel,
-        vocabulary: Trajectories,
+        vocabulary: Trajectories | MotionPrimitives,
         views: ViewLayout,
         *,
         name: str = "gtrs",
@@ -123,7 +139,11 @@ class GtrsPlanner(BasePlanner):
     ) -> None:
         self.name = name
         self.model = model
-        self.vocabulary = check_vocabulary(name, vocabulary)
+        self.vocabulary = (
+            vocabulary
+            if isinstance(vocabulary, MotionPrimitives)
+            else check_vocabulary(name, vocabulary)
+        )
         self.views = views
         self._fitted = views
         self.weights = weights
@@ -178,7 +198,7 @@ class GtrsPlanner(BasePlanner):
         decision = self.decide(observation)
         best = decision.best
         return Plan(
-            waypoints=decision.trajectories[best].astype(np.float64),
+            waypoints=decision.driven(self.weights.blended),
             info={
                 "index": float(best),
                 "score": float(decision.scores[best]),
@@ -213,7 +233,7 @@ class GtrsPlanner(BasePlanner):
             raise InputError(
                 self._who, "ego state", "holds NaN or infinite values", "check the ego controller"
             )
-        trajectories, weights = self.vocabulary, self.weights
+        trajectories, weights = self._possible(status), self.weights
         if proposals is not None:
             extra = check_vocabulary(f"{self._who}, proposals", np.asarray(proposals))
             trajectories, weights = np.concatenate([trajectories, extra]), COMBINED
@@ -274,7 +294,12 @@ class GtrsPlanner(BasePlanner):
         images = [one for one in (stitched, earlier) if one is not None]
         now, *before = self._features(images).split(1)
         seen = before[0] if before else None
-        return self._scored(now, status, self.vocabulary, self.weights, seen)
+        return self._scored(now, status, self._possible(status), self.weights, seen)
+
+    def _possible(self, status: Float32Array) -> Trajectories:
+        if isinstance(self.vocabulary, MotionPrimitives):
+            return self.vocabulary.trajectories(status[None])[0]
+        return self.vocabulary
 
     @torch.no_grad()
     def _features(self, pictures: Sequence[Image]) -> Tensor:
@@ -351,6 +376,7 @@ class _Config(Record):
     model: GtrsConfig
     views: ViewLayout
     scoring: ScoreWeights
+    primitives: MotionPrimitives | None = None  # in place of vocabulary.npy
 
 
 def save_gtrs(folder: str | Path, planner: GtrsPlanner, dtype: torch.dtype = torch.float32) -> None:
@@ -362,6 +388,7 @@ def save_gtrs(folder: str | Path, planner: GtrsPlanner, dtype: torch.dtype = tor
     Raises:
         InputError: the folder exists, or the disk is full.
     """
+    own = planner.vocabulary
     config = _Config(
         format="recast-gtrs",
         version=1,
@@ -369,6 +396,7 @@ def save_gtrs(folder: str | Path, planner: GtrsPlanner, dtype: torch.dtype = tor
         model=planner.model.config,
         views=planner.views,
         scoring=planner.weights,
+        primitives=own if isinstance(own, MotionPrimitives) else None,
     )
     tensors = {
         name: (tensor.to(dtype) if tensor.is_floating_point() else tensor).detach().cpu()
@@ -377,7 +405,8 @@ def save_gtrs(folder: str | Path, planner: GtrsPlanner, dtype: torch.dtype = tor
     with atomic_folder(folder) as partial:
         record: dict[str, Any] = config.model_dump(mode="json")
         write_json(partial / CONFIG_FILE, record)
-        write_vocabulary(partial / VOCABULARY_FILE, planner.vocabulary)
+        if not isinstance(own, MotionPrimitives):
+            write_vocabulary(partial / VOCABULARY_FILE, own)
         # Through bytes: safetensors' own writer reports a full disk in a way of its own.
         write_bytes(partial / WEIGHTS_FILE, save({k: v.contiguous() for k, v in tensors.items()}))
 
@@ -391,10 +420,12 @@ def load_gtrs(folder: str | Path, device: str | torch.device = "cpu") -> GtrsPla
     """
     folder = Path(folder)
     config = read_record(folder / CONFIG_FILE, _Config, 1, _MEND_FOLDER, "recast-gtrs")
-    vocabulary = read_vocabulary(folder / VOCABULARY_FILE)
+    possible: Trajectories | MotionPrimitives | None = config.primitives
+    if possible is None:
+        possible = read_vocabulary(folder / VOCABULARY_FILE)
     model = empty_model(config.model)
     load_weights(model, read_weights(folder / WEIGHTS_FILE), folder / WEIGHTS_FILE, device)
-    return GtrsPlanner(model, vocabulary, config.views, name=config.name, weights=config.scoring)
+    return GtrsPlanner(model, possible, config.views, name=config.name, weights=config.scoring)
 
 
 def load_checkpoint(

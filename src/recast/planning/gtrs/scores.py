@@ -104,6 +104,10 @@ class ScoreWeights(Record):
         time_to_collision, progress, lane_keeping: weights within that sum.
         comfort: weight, within that sum too, of trajectories that are comfortable as COM counts it;
             0 in the released modes.
+        blended: metres; what is driven is the mean of the trajectories that end nearer than this to
+            the best, weighted by exp S. 0: the best itself, as in the released modes. Only for
+            trajectories that begin alike, see `MotionPrimitives`: there the next best is so near
+            that a grey level may decide between two, and the mean hardly moves.
     """
 
     imitation: NonNegativeFloat
@@ -116,6 +120,7 @@ class ScoreWeights(Record):
     progress: PositiveFloat
     lane_keeping: PositiveFloat
     comfort: NonNegativeFloat = 0.0
+    blended: NonNegativeFloat = 0.0
 
 
 VOCABULARY_ONLY = ScoreWeights(
@@ -159,8 +164,8 @@ def final_score(
     Args:
         logits: head name to (B, L).
         weights: `VOCABULARY_ONLY`, or `COMBINED` where L includes external proposals.
-        comfortable: (L,) bool, C, see `recast.dynamics.tracker.comfortable_plans`; used if
-            `weights.comfort` is above 0.
+        comfortable: (L,) or (B, L) bool, C, see `recast.dynamics.tracker.comfortable_plans`; used
+            if `weights.comfort` is above 0.
 
     Raises:
         ValueError: `weights.comfort` is above 0 and `comfortable` is not given.

@@ -1,4 +1,4 @@
-"""`recast planner vocabulary | dataset | train | export | probe`: the small planner's recipe."""
+"""`recast planner dataset | train | export | probe`: the small planner's recipe."""
 
 from __future__ import annotations
 
@@ -17,29 +17,9 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True)
-class Vocabulary:
-    """Cluster plausible driving into the trajectories that a planner chooses from."""
-
-    out: Path
-    """File to write (.npy)."""
-    size: int = 512
-    """Number of trajectories."""
-    seed: Annotated[int, shared.SEED] = 0
-
-    def __call__(self) -> None:
-        from recast.planning.gtrs import write_vocabulary
-        from recast_tools.planner_training.vocabulary import make_vocabulary
-
-        write_vocabulary(self.out, make_vocabulary(self.size, self.seed))
-        console_for(False).print(f"wrote {self.out}: {self.size} trajectories", markup=False)
-
-
-@dataclass(frozen=True)
 class Dataset:
     """Render and score training samples in synthetic worlds; the same command resumes."""
 
-    vocabulary: Path
-    """File of `recast planner vocabulary`; it is copied to the folder of the samples."""
     out: Path
     """Folder of the samples; a folder of the same settings grows."""
     samples: int = 8000
@@ -70,7 +50,6 @@ class Dataset:
 
         from recast.core.diagnostics import ProgressBar
         from recast.core.records import validation_error
-        from recast.planning.gtrs import read_vocabulary
         from recast.planning.gtrs.planner import CONFIG_FILE, WEIGHTS_FILE
         from recast.recar.training import hash_files
         from recast.synthetic import SCENES
@@ -93,13 +72,11 @@ class Dataset:
             )
         except ValidationError as error:
             raise validation_error("options", error, "give a value in range") from None
-        vocabulary = read_vocabulary(self.vocabulary)
         with ProgressBar("samples", console) as progress:
             made = make_dataset(
                 self.out,
                 self.samples,
                 record,
-                vocabulary,
                 driver=driver,
                 store=self.store,
                 workers=self.workers,
@@ -280,9 +257,8 @@ def _probe_rows(rows: Sequence[ProbeRow]) -> Rows:
 
 Planner = shared.group(
     "planner",
-    "Train a small image-conditioned planner: vocabulary, samples, training, test.",
+    "Train a small image-conditioned planner: samples, training, test.",
     {
-        "vocabulary": Vocabulary,
         "dataset": Dataset,
         "show": PlannerShow,
         "train": PlannerTrain,

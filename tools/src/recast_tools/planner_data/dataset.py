@@ -21,7 +21,7 @@ from recast.core.workers import worker_pool
 from recast.dynamics import state as ego
 from recast.geometry import se2
 from recast.planning.gtrs import load_gtrs
-from recast.planning.gtrs.scores import Trajectories, read_vocabulary, write_vocabulary
+from recast.planning.gtrs.config import MotionPrimitives
 from recast.planning.types import ego_status
 from recast.runs.run_folder import STORE_FOLDER
 from recast.synthetic import make_world
@@ -42,16 +42,14 @@ from recast_tools.planner_training.samples import (
     MEND,
     RECORD_FILE,
     VERSION,
-    VOCABULARY_FILE,
     DatasetRecord,
     Renderer,
     Sample,
     world_folder,
     write_world,
 )
-from recast_tools.planner_training.targets import TrajectoryTargets, score_vocabulary
+from recast_tools.planner_training.targets import TrajectoryTargets, score_trajectories
 from recast_tools.planner_training.task import HALF_VIEWS
-from recast_tools.planner_training.vocabulary import mirror_index
 
 _LOOK_AHEAD = (10.0, 20.0, 30.0)
 """Metres at which the route's offset is told as a clue."""
@@ -64,16 +62,14 @@ _TWINS = 0.25
 _MOST_DRIVES = 20
 """Drives for each sample of a world, after which it has no room for them."""
 _PLANNER_DRIVES = 0.5
-_MISTAKEN, _LIKE = 0.25, 1.0
-"""Share of the expert's moments in which it drives any trajectory, and m/s by which the speed at
-which that one begins may differ from the ego's."""
+_MISTAKEN = 0.25
+"""Share of the expert's moments in which it drives any trajectory."""
 
 
 def make_dataset(
     out: Path,
     count: int,
     record: DatasetRecord,
-    vocabulary: Trajectories,
     *,
     driver: Path | None = None,
     store: str | Path | None = None,
@@ -94,16 +90,14 @@ def make_dataset(
         How many samples there are: whole worlds.
 
     Raises:
-        InputError: `out` holds samples of other settings or another vocabulary, the vocabulary is
-            not symmetrical, embreex is missing, a count or number of workers is below
-            one, or another process is at work there.
+        InputError: `out` holds samples of other settings, embreex is missing, a count or number of
+            workers is below one, or another process is at work there.
     """
     from recast.synthetic.rendering import require_embree
 
     require_range(1, samples=count, workers=workers)
     require_embree()
-    mirror_index(vocabulary)
-    _open(out, record, vocabulary, driver)
+    _open(out, record, driver)
     worlds = -(-count // record.per_world)
     left = [i for i in range(worlds) if not world_folder(out, i).exists()]
     done, numbers = worlds - len(left), iter(left)
@@ -125,23 +119,20 @@ def make_dataset(
 
 def _start(worker: int, out: Path, record: DatasetRecord, store: str) -> Callable[[int], None]:
     del worker  # makes no difference
-    driver = Driver(
-        read_vocabulary(out / VOCABULARY_FILE), out / DRIVER_FOLDER if record.driver else None
-    )
+    driver = Driver(out / DRIVER_FOLDER if record.driver else None)
     return partial(make_world_samples, out, record=record, driver=driver, store=open_store(store))
 
 
 def make_world_samples(
     out: Path, number: int, record: DatasetRecord, driver: Driver, store: Store
 ) -> None:
-    """Make the samples of one world; they depend on the record, the vocabulary, the driver and the
-    number.
+    """Make the samples of one world; they depend on the record, the driver and the number.
 
     A world whose log shows too little of its target is rendered by the oracle, too.
     """
     scene = record.scene_of(number)
     seed = FIRST_SEED + _WORLDS_PER_SEED * record.seed + number
-    vocabulary, shown = driver.vocabulary, None
+    shown = None
     if record.is_reconstructed(number):
         shown = reconstruct(make_world(scene, seed, record.seconds), store, record.street_steps)
     stage = make_stage(scene, seed, record.seconds) if shown is None else shown.stage
@@ -167,7 +158,9 @@ def make_world_samples(
             if situation is None:
                 break
             image = render(paint, stage, situation)
-            sample, targets = describe(stage, situation, image, renderer, vocabulary)
+            sample, possible, targets = describe(
+                stage, situation, image, renderer, record.primitives
+            )
             if targets.total.max() <= 0.0:  # nothing helps any more: not even the expert knows
                 break
             seen = None if before < 0 else written.samples[before].image
@@ -175,9 +168,9 @@ def make_world_samples(
             if with_twins and situation.actor is not None and not written.full:
                 alone, in_sight = situation.without_actor(), sample.clues[0] > 0
                 image = render(paint, stage, alone) if in_sight else image
-                twin = describe(stage, alone, image, renderer, vocabulary)[0]
+                twin = describe(stage, alone, image, renderer, record.primitives)[0]
                 twin_before = written.add(twin, twin_before, before if in_sight else -1)
-            drive.go(driver.choose(sample, seen, targets, rng).astype(np.float64))
+            drive.go(driver.choose(sample, seen, possible, targets, rng).astype(np.float64))
     write_world(world_folder(out, number), written.samples, written.twins, written.before)
 
 
@@ -214,17 +207,15 @@ class SampleWriter:
 class Driver:
     """Who drives a drive on: an expert that knows the scores, or a planner that sees the image.
 
-    The expert takes the best trajectory, and in `_MISTAKEN` of the moments any other that begins at
-    the ego's speed: so samples come from beside the best states, too. With a planner, it drives
-    every second drive.
+    The expert takes the best trajectory, and in `_MISTAKEN` of the moments any other that keeps to
+    the lane: so samples come from beside the best states, too. With a planner, it drives every
+    second drive.
 
     Args:
-        vocabulary: what the expert chooses from.
         planner: folder of a GTRS planner; None for the expert alone.
     """
 
-    def __init__(self, vocabulary: Trajectories, planner: Path | None) -> None:
-        self.vocabulary = vocabulary
+    def __init__(self, planner: Path | None) -> None:
         self._planner = None if planner is None else load_gtrs(planner)
         self._sees = False
 
@@ -236,6 +227,7 @@ class Driver:
         self,
         sample: Sample,
         before: Image | None,
+        possible: NDArray[np.float32],
         targets: TrajectoryTargets,
         rng: np.random.Generator,
     ) -> NDArray[np.float32]:
@@ -243,18 +235,18 @@ class Driver:
 
         Args:
             before: the image a second earlier.
+            possible: (L, 40, 3) what the expert chooses from.
+            targets: their scores.
         """
         if self._sees:
             assert self._planner is not None
             seen = self._planner.judge(sample.image, sample.status[0], before)
-            return seen.trajectories[seen.best]
+            return seen.driven(self._planner.weights.blended).astype(np.float32)
         if rng.uniform() < _MISTAKEN:
-            begins = self.vocabulary[:, 0, 0] / 0.1  # m/s
-            like = np.abs(begins - sample.status[0, 4]) < _LIKE
-            possible = np.flatnonzero(like & (targets.scores[[1, 4, 5]] > 0).all(axis=0))  # in lane
-            if len(possible):
-                return self.vocabulary[int(rng.choice(possible))]
-        return self.vocabulary[targets.best]
+            in_lane = np.flatnonzero((targets.scores[[1, 4, 5]] > 0).all(axis=0))
+            if len(in_lane):
+                return possible[int(rng.choice(in_lane))]
+        return possible[targets.best]
 
 
 def _painter(
@@ -268,24 +260,18 @@ def _painter(
     return renderer, shown.painter(renderer)
 
 
-def _open(out: Path, record: DatasetRecord, vocabulary: Trajectories, driver: Path | None) -> None:
+def _open(out: Path, record: DatasetRecord, driver: Path | None) -> None:
     path = out / RECORD_FILE
     if path.exists():
         if read_record(path, DatasetRecord, VERSION, MEND, record.format) != record:
             raise InputError(path, "settings", "differ from those of this command", MEND)
-        if not np.array_equal(read_vocabulary(out / VOCABULARY_FILE), vocabulary):
-            raise InputError(
-                out / VOCABULARY_FILE, "vocabulary", "differs from that of this command", MEND
-            )
         return
-    # A kill may have left the others without the record.
-    first = {VOCABULARY_FILE, DRIVER_FOLDER}
-    if out.exists() and any(entry.name not in first for entry in out.iterdir()):
+    # A kill may have left the driver without the record.
+    if out.exists() and any(entry.name != DRIVER_FOLDER for entry in out.iterdir()):
         raise InputError(out, "output folder", "contains other files", "choose another folder")
-    write_vocabulary(out / VOCABULARY_FILE, vocabulary)
     if driver is not None:
         shutil.copytree(driver, out / DRIVER_FOLDER, dirs_exist_ok=True)
-    write_json(path, record.model_dump(mode="json"))  # last: where it is, the vocabulary is
+    write_json(path, record.model_dump(mode="json"))  # last: where it is, the driver is
 
 
 def render(paint: SamplePainter, stage: SampleStage, situation: SampleSituation) -> Image:
@@ -320,22 +306,25 @@ def describe(
     situation: SampleSituation,
     image: Image,
     renderer: Renderer,
-    vocabulary: Trajectories,
-) -> tuple[Sample, TrajectoryTargets]:
-    """The sample of a situation and its picture, and what was scored at its first speed."""
+    primitives: MotionPrimitives,
+) -> tuple[Sample, NDArray[np.float32], TrajectoryTargets]:
+    """The sample of a situation and its picture; the trajectories (L, 40, 3) at its first speed,
+    and their scores."""
+    status = np.stack([ego_status(situation.command, state) for state in situation.states])
+    possible = primitives.trajectories(status)
     targets = [
-        score_vocabulary(vocabulary, state, stage.road, situation.obstacles)
-        for state in situation.states
+        score_trajectories(each, state, stage.road, situation.obstacles)
+        for each, state in zip(possible, situation.states, strict=True)
     ]
     sample = Sample(
         image=image,
-        status=np.stack([ego_status(situation.command, state) for state in situation.states]),
+        status=status,
         scores=np.stack([found.scores for found in targets]),
         best=np.array([found.best for found in targets], np.int32),
         clues=_clues(stage, situation),
         renderer=renderer,
     )
-    return sample, targets[0]
+    return sample, possible[0], targets[0]
 
 
 def _clues(stage: SampleStage, situation: SampleSituation) -> NDArray[np.float32]:

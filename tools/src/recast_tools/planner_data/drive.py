@@ -17,7 +17,9 @@ from recast.dynamics import PACIFICA, make_state, plan_to_poses, track
 from recast.dynamics import state as ego
 from recast.geometry import se2
 from recast.planning import BasePlanner, DrivingCommand, Plan, PlannerInput, PlanningContext
+from recast.planning.gtrs.config import PRIMITIVES
 from recast.planning.pdm.forecast import box_corners
+from recast.planning.types import ego_status
 from recast.simulation import Advancing, CutIn, Oncoming, StartSituation, Stationary
 from recast.simulation.actor_motion import DEFAULT_LANE_OFFSET, ScriptMotion, neighbour_lateral
 from recast.synthetic import world
@@ -26,10 +28,9 @@ from recast_tools.planner_training.targets import (
     FORESEEN,
     TargetObstacle,
     TargetRoad,
-    score_vocabulary,
+    score_trajectories,
     touched,
 )
-from recast_tools.planner_training.vocabulary import make_vocabulary
 
 MOMENTS = 8
 """Samples of a drive at most, a second apart."""
@@ -330,7 +331,6 @@ class Expert(BasePlanner):
     needs_images = False
 
     def __init__(self) -> None:
-        self._vocabulary = make_vocabulary()
         self._road: TargetRoad | None = None
 
     def reset(self, context: PlanningContext) -> None:
@@ -340,7 +340,7 @@ class Expert(BasePlanner):
         self._road = target_road(context.route, context.map)
 
     def plan(self, observation: PlannerInput) -> Plan:
-        """The best trajectory of the vocabulary."""
+        """The best motion primitive."""
         assert self._road is not None
         later = _DT * np.arange(FORESEEN + 1)[:, None]
         obstacles = [
@@ -351,5 +351,7 @@ class Expert(BasePlanner):
             )
             for one in observation.actors
         ]
-        found = score_vocabulary(self._vocabulary, observation.ego, self._road, obstacles)
-        return Plan(waypoints=self._vocabulary[found.best].astype(np.float64))
+        state = np.asarray(observation.ego)
+        possible = PRIMITIVES.trajectories(ego_status(observation.command, state)[None])[0]
+        found = score_trajectories(possible, state, self._road, obstacles)
+        return Plan(waypoints=possible[found.best].astype(np.float64))

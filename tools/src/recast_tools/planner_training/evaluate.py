@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from recast.arrays import Float32Array, Image
 from recast.core.errors import InputError
 from recast.core.images import draw_text
+from recast.dynamics.tracker import comfortable_plans
 from recast.planning.gtrs import ScoreWeights, final_score, training_loss
 from recast_tools.planner_training.samples import SampleStore
 from recast_tools.planner_training.targets import SCORED, unpacked
@@ -107,18 +108,19 @@ def evaluate(task: GtrsTask, indices: NDArray[np.int64], weights: ScoreWeights) 
     got = true[rows, chosen]
     safe = scores[:, 0] > 127
     in_sight = store.clues[indices, 0] > 0
-    length = store.vocabulary[:, -1, 0]
+    possible = store.trajectories(indices)
+    length, one = possible[:, :, -1, 0], rows[with_twin]
     return SampleScores(
         samples=len(indices),
         loss=loss,
         gap=shuffled - loss,
         score=float(got.mean()),
         regret=float((true.max(axis=1) - got).mean()),
-        comfortable=float(task.comfortable.numpy()[chosen].mean()),
+        comfortable=float(comfortable_plans(possible[rows, chosen]).mean()),
         safe=_mean(safe[rows, chosen][in_sight]),
         safe_blind=_mean(safe[rows[with_twin], erased]),
         safe_twins=_mean(safe[rows, chosen][with_twin]),
-        slower=_mean(length[erased] - length[chosen[with_twin]]),
+        slower=_mean(length[one, erased] - length[one, chosen[with_twin]]),
     )
 
 
@@ -134,7 +136,7 @@ def _choose(
         batch = task.gather(part, FIRST_SPEED, np.zeros(len(part), np.bool_), images, known)
         logits = task.seen(batch)
         terms = training_loss(logits, batch.targets, batch.trajectories, batch.demonstration)
-        scored = final_score(logits, weights, task.comfortable)
+        scored = final_score(logits, weights, batch.comfortable)
         chosen.append(scored.argmax(dim=1).numpy())
         losses.append(float(sum_of(terms)) * len(part))
     return np.concatenate(chosen), float(np.sum(losses) / len(indices))
@@ -158,7 +160,7 @@ def decision_sheet(task: GtrsTask, indices: NDArray[np.int64], weights: ScoreWei
     batch = task.gather(indices, FIRST_SPEED, np.zeros(len(indices), np.bool_))
     logits = task.seen(batch)
     task.model.train(was_training)
-    chosen = final_score(logits, weights, task.comfortable).argmax(dim=1).tolist()
+    chosen = final_score(logits, weights, batch.comfortable).argmax(dim=1).tolist()
     rows = [_row(task.store, i, choice) for i, choice in zip(indices, chosen, strict=True)]
     return np.vstack(rows)
 
@@ -193,10 +195,11 @@ def _from_above(
     present, x, y, cos, sin = store.clues[index, :5]
     if present:
         _box(canvas, x, y, float(np.arctan2(sin, cos)), (4.6, 1.9), _VEHICLE)
+    possible = store.trajectories(np.array([index]))[0]
     for entry in best:
-        _line(canvas, store.vocabulary[entry], _BEST)
+        _line(canvas, possible[entry], _BEST)
     if choice is not None:
-        _line(canvas, store.vocabulary[choice], _CHOSEN)
+        _line(canvas, possible[choice], _CHOSEN)
     return canvas
 
 

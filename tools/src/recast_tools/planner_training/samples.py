@@ -20,11 +20,12 @@ from recast.arrays import Image
 from recast.core.errors import InputError
 from recast.core.files import atomic_folder
 from recast.core.records import Record, read_record
-from recast.planning.gtrs.scores import Trajectories, read_vocabulary
+from recast.planning.gtrs.config import PRIMITIVES, MotionPrimitives
 
-RECORD_FILE, VOCABULARY_FILE, DRIVER_FOLDER = "dataset.json", "vocabulary.npy", "driver"
-VERSION: Literal[4] = 4
-"""Version of the format; until version 3, samples were drawn and not driven."""
+RECORD_FILE, DRIVER_FOLDER = "dataset.json", "driver"
+VERSION: Literal[5] = 5
+"""Version of the format; until version 3, samples were drawn and not driven, until version 4 a
+vocabulary was scored that was the same for all."""
 MEND = "name another folder, or make the samples again"
 CLUES = (
     "present",
@@ -56,6 +57,9 @@ _LINKS = ("twin", "before")
 _MEMBERS = (*_OF_SAMPLE, "renderer", *_LINKS)
 
 _CLEAN = 0.15
+_ONE_CAMERA, _UNSEEN = 0.2, (0.14, 0.27)
+"""Share of pictures with black sides, as logs of one camera have them, and how much of the width is
+black at each side."""
 _MIRRORED_CLUES = np.array([-1.0 if name not in ("present", "x", "cos") else 1.0 for name in CLUES])
 
 
@@ -72,10 +76,11 @@ class DatasetRecord(Record):
         reconstructed: share of the worlds whose images are those of a reconstructed street.
         street_steps: training steps of each of these streets.
         driver: SHA-256 of the weights of the planner that drives every second drive; "" without.
+        primitives: what is scored.
     """
 
     format: Literal["recast-planner-dataset"] = "recast-planner-dataset"
-    version: Literal[4] = VERSION
+    version: Literal[5] = VERSION
     seed: int = Field(default=0, ge=0)
     per_world: int = Field(default=32, ge=2)
     speeds: int = Field(default=2, ge=1)
@@ -84,6 +89,7 @@ class DatasetRecord(Record):
     reconstructed: float = Field(default=0.0, ge=0.0, le=1.0)
     street_steps: int = Field(default=1000, ge=1)
     driver: str = ""
+    primitives: MotionPrimitives = PRIMITIVES
 
     def scene_of(self, number: int) -> str:
         """The scene of a world."""
@@ -100,7 +106,7 @@ class DatasetRecord(Record):
 
 @dataclass(frozen=True)
 class Sample:
-    """One picture, K speeds of the ego, L trajectories.
+    """One picture, K speeds of the ego, L trajectories at each.
 
     Attributes:
         image: (128, 512, 3) uint8 RGB.
@@ -145,14 +151,14 @@ class SampleStore:
     """All samples of dataset folders; pictures stay on disk until they are looked at.
 
     Args:
-        folders: folders that `recast planner dataset` wrote for the same vocabulary.
+        folders: folders that `recast planner dataset` wrote for the same primitives.
 
     Raises:
-        InputError: one has no samples, its record or a world's files are wrong, or its vocabulary
-            or its number of speeds is not that of the first.
+        InputError: one has no samples, its record or a world's files are wrong, or its primitives
+            or its number of speeds are not those of the first.
 
     Attributes:
-        folder, record, vocabulary: the first folder, its record and vocabulary.
+        folder, record: the first folder and its record.
         worlds: (N,) number of each sample's world.
         status, scores, best, clues: values of all samples, see `Sample`.
         renderer: (N,) index in `RENDERERS` of what rendered each image.
@@ -162,16 +168,14 @@ class SampleStore:
 
     def __init__(self, *folders: Path) -> None:
         self.folder = folders[0]
-        self.record, self.vocabulary = read_dataset(self.folder)
+        self.record = read_dataset(self.folder)
         paths = []
         for folder in folders:
-            record, vocabulary = read_dataset(folder)
-            if record.speeds != self.record.speeds:
-                problem = f"is {record.speeds}, but {self.record.speeds} in {self.folder}"
-                raise InputError(folder / RECORD_FILE, "speeds", problem, MEND)
-            if not np.array_equal(vocabulary, self.vocabulary):
-                problem = f"differs from that of {self.folder}"
-                raise InputError(folder / VOCABULARY_FILE, "vocabulary", problem, MEND)
+            record = read_dataset(folder)
+            for name in ("speeds", "primitives"):
+                if getattr(record, name) != getattr(self.record, name):
+                    problem = f"differs from that of {self.folder}"
+                    raise InputError(folder / RECORD_FILE, name, problem, MEND)
             found = sorted(folder.glob("world-*"))
             if not found:
                 mend = "make them with `recast planner dataset`"
@@ -196,13 +200,10 @@ class SampleStore:
             joined
         )
         self._first = np.cumsum([0, *(len(images) for images in self._images)])
-        if self.scores.shape[-1] != len(self.vocabulary):
-            raise InputError(
-                folder / VOCABULARY_FILE,
-                "vocabulary",
-                f"has {len(self.vocabulary)} trajectories, but {self.scores.shape[-1]} were scored",
-                MEND,
-            )
+        primitives = self.record.primitives
+        if self.scores.shape[-1] != len(primitives):
+            problem = f"are {len(primitives)}, but {self.scores.shape[-1]} were scored"
+            raise InputError(folder / RECORD_FILE, "primitives", problem, MEND)
 
     def __len__(self) -> int:
         return len(self.worlds)
@@ -211,6 +212,10 @@ class SampleStore:
         """(128, 512, 3) uint8."""
         part = int(np.searchsorted(self._first, index, side="right")) - 1
         return np.array(self._images[part][index - self._first[part]])
+
+    def trajectories(self, chosen: NDArray[np.int64], speed: int = 0) -> NDArray[np.float32]:
+        """(B, L, 40, 3) what can be chosen from in samples (B,), at one of their speeds."""
+        return self.record.primitives.trajectories(self.status[chosen, speed])
 
     def by_renderer(self) -> dict[str, int]:
         """Number of samples of each renderer."""
@@ -223,12 +228,10 @@ class SampleStore:
         return self.worlds % HELD_OUT_EVERY == HELD_OUT_EVERY - 1
 
 
-def read_dataset(folder: Path) -> tuple[DatasetRecord, Trajectories]:
-    """Record and vocabulary of a folder. Raises InputError: it is none of `recast planner
-    dataset`."""
+def read_dataset(folder: Path) -> DatasetRecord:
+    """Record of a folder. Raises InputError: it is none of `recast planner dataset`."""
     name = folder / RECORD_FILE
-    record = read_record(name, DatasetRecord, VERSION, MEND, "recast-planner-dataset")
-    return record, read_vocabulary(folder / VOCABULARY_FILE)
+    return read_record(name, DatasetRecord, VERSION, MEND, "recast-planner-dataset")
 
 
 def _read_world(path: Path) -> tuple[NDArray[np.uint8], dict[str, np.ndarray]]:
@@ -242,10 +245,11 @@ def _read_world(path: Path) -> tuple[NDArray[np.uint8], dict[str, np.ndarray]]:
 
 
 def augment(image: Image, rng: np.random.Generator) -> Image:
-    """Colour, exposure, blur, speckle, floaters, noise, JPEG and a shift of some pixels.
+    """Colour, exposure, blur, speckle, floaters, noise, JPEG, a shift of some pixels, black sides.
 
     As of reconstructed scenes: blurred patches, blobs of wrong colour in thin air, haze; as of
-    cameras: exposure, white balance, noise. One in seven stays as it is.
+    cameras: exposure, white balance, noise, and what one camera does not see of three pictures. One
+    in seven stays as it is.
 
     Args:
         image: (H, W, 3) uint8.
@@ -270,7 +274,11 @@ def augment(image: Image, rng: np.random.Generator) -> Image:
         quality = [cv2.IMWRITE_JPEG_QUALITY, int(rng.integers(35, 90))]
         _, coded = cv2.imencode(".jpg", picture, quality)
         picture = np.asarray(cv2.imdecode(coded, cv2.IMREAD_COLOR), np.uint8)
-    return np.ascontiguousarray(picture)
+    picture = np.ascontiguousarray(picture)
+    if rng.uniform() < _ONE_CAMERA:
+        side = np.rint(rng.uniform(*_UNSEEN, 2) * picture.shape[1]).astype(int)
+        picture[:, : side[0]] = picture[:, -side[1] :] = 0
+    return picture
 
 
 def mirror_image(image: Image) -> Image:

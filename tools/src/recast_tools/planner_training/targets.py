@@ -21,7 +21,6 @@ from recast.dynamics.tracker import comfortable_plans
 from recast.geometry import se2
 from recast.geometry.boxes import bev_touching
 from recast.planning.gtrs.model import METRICS
-from recast.planning.gtrs.scores import Trajectories
 from recast.planning.map import PlannerMap
 from recast.planning.pdm import Centreline
 from recast.planning.pdm.forecast import box_centres, box_corners
@@ -70,7 +69,7 @@ class TargetRoad:
 
 @dataclass(frozen=True)
 class TrajectoryTargets:
-    """Scores of a vocabulary in one situation.
+    """Scores of trajectories in one situation.
 
     Attributes:
         scores: (6, L) uint8, 255 for 1, in the order of `SCORED`.
@@ -86,8 +85,8 @@ class TrajectoryTargets:
         return int(self.total.argmax())
 
 
-def score_vocabulary(
-    vocabulary: Trajectories,
+def score_trajectories(
+    trajectories: NDArray[np.float32],
     state: Array,
     road: TargetRoad,
     obstacles: Sequence[TargetObstacle],
@@ -106,11 +105,11 @@ def score_vocabulary(
     Areas and lanes are looked up every 0.2 s.
 
     Args:
-        vocabulary: (L, 40, 3) trajectories.
+        trajectories: (L, 40, 3) x, y, heading in the ego frame.
         state: (11,) state of the ego, world.
     """
-    start = np.broadcast_to(state, (len(vocabulary), ego.SIZE))
-    poses = plan_to_poses(start[:, ego.POSE], vocabulary.astype(np.float64))
+    start = np.broadcast_to(state, (len(trajectories), ego.SIZE))
+    poses = plan_to_poses(start[:, ego.POSE], trajectories.astype(np.float64))
     states = track(start, poses, WAYPOINTS, vehicle=vehicle)
     seen = states[:, ::STRIDE]
     corners = box_corners(seen[..., ego.POSE], vehicle)
@@ -119,7 +118,7 @@ def score_vocabulary(
     drivable = np.where(areas.non_drivable.any(axis=-1), 0.0, 1.0)
     direction = direction_compliance(centres, areas)
     safe, ttc = collisions(states, [_grown(obstacle) for obstacle in obstacles], vehicle)
-    comfort = comfortable_plans(vocabulary)
+    comfort = comfortable_plans(trajectories)
     begin, ends = road.middle.project(centres[0, 0]), road.middle.project(centres[:, -1])
     keeping = _lane_keeping(centres, areas.in_intersection, road.middle, begin, ends)
     metres = np.maximum(ends - begin, 0.0)
@@ -216,10 +215,14 @@ def collisions(
     boxes[..., :2] += _LOOK_AHEAD[:, None] * way[:, :, None]
     when = np.arange(steps)[:, None] + _LOOK_AHEAD  # (T, F)
     rows = np.arange(count)
+    places = boxes.reshape(-1, 3)[:, :2].T.copy()  # reductions along long rows are fast
+    low, high = places.min(axis=1), places.max(axis=1)
     for obstacle in obstacles:
         there = obstacle.poses[when]  # (T, F, 3)
-        if not _near(boxes, there, obstacle, vehicle):
-            continue
+        reach = (np.hypot(vehicle.length, vehicle.width) + np.hypot(*obstacle.size[:2])) / 2
+        points = there[..., :2]
+        if not ((points >= low - reach) & (points <= high + reach)).all(axis=-1).any():
+            continue  # no box comes close to it
         size = (vehicle.length, vehicle.width)
         touching = bev_touching(boxes, size, there, obstacle.size)
         offset = there[..., :2] - poses[:, :, None, :2]
@@ -236,12 +239,3 @@ def collisions(
         first = soon.argmax(axis=1)
         clear[soon.any(axis=1) & (bearing.reshape(count, -1)[rows, first] <= _BEHIND)] = 0.0
     return safe, clear
-
-
-def _near(boxes: Array, there: Array, obstacle: TargetObstacle, vehicle: VehicleParameters) -> bool:
-    """Whether any box comes close to an obstacle's at all."""
-    reach = (np.hypot(vehicle.length, vehicle.width) + np.hypot(*obstacle.size[:2])) / 2
-    low, high = boxes[..., :2].min(axis=(0, 1, 2)), boxes[..., :2].max(axis=(0, 1, 2))
-    points = there[..., :2]
-    inside = (points >= low - reach) & (points <= high + reach)
-    return bool(inside.all(axis=-1).any())

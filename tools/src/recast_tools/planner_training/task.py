@@ -42,7 +42,6 @@ from recast_tools.planner_training.samples import (
     mirror_status,
 )
 from recast_tools.planner_training.targets import SCORED, unpacked
-from recast_tools.planner_training.vocabulary import mirror_index
 
 _SCALES = (1.0, 12.0, 3.0, 1.0, 1.0, 0.4, 0.06, 0.6, 1.5, 3.0)
 """Usual sizes of the clues."""
@@ -63,7 +62,7 @@ HALF_VIEWS = ViewLayout(
 
 @dataclass(frozen=True)
 class Batch:
-    """Samples as tensors: B pictures, K speeds of each, L trajectories.
+    """Samples as tensors: B pictures, K speeds of each, L trajectories at each speed.
 
     Attributes:
         images: (B, 3, H, W) images in [0, 1].
@@ -71,9 +70,10 @@ class Batch:
             ones where there are none.
         known: (B,) bool, whether there are some.
         status: (B K, 8) status vectors, those of a picture one after another.
-        trajectories: (L, 40, 3) trajectories that are scored.
+        trajectories: (B K, L, 40, 3) trajectories that are scored.
+        comfortable: (B K, L) bool, which of them are, see `comfortable_plans`.
         targets: (B K, L) target sub-scores, by metric head.
-        demonstration: (B K, 8, 3) poses of the best trajectories of the whole vocabulary.
+        demonstration: (B K, 8, 3) poses of the best trajectories of all.
         clues: (B, 10).
     """
 
@@ -82,6 +82,7 @@ class Batch:
     known: Tensor
     status: Tensor
     trajectories: Tensor
+    comfortable: Tensor
     targets: Mapping[str, Tensor]
     demonstration: Tensor
     clues: Tensor
@@ -93,16 +94,16 @@ class GtrsTask:
     Half of a batch is drawn; the other half are their twins, the same situations with or without
     the vehicle, where there are some, and else other samples. Half of all are mirrored, and all
     but one in seven altered, see `augment`. Each picture is looked at once and scored at all its
-    speeds, with a part of the vocabulary that is drawn for the step: twins have the same speeds,
-    so that nothing but the picture tells them apart.
+    speeds, with a part of the primitives that is drawn for the step: twins have the same speeds, so
+    that nothing but the picture tells them apart.
 
     Args:
         store: store of the samples.
         indices: indices of the samples to train on.
-        model: model that is trained; for the vocabulary of the store.
+        model: model that is trained.
         reader: reader that is trained with it, and not part of the planner.
         batch: samples a step; even.
-        kept: trajectories scored in a step; all where the vocabulary has fewer.
+        kept: primitives scored in a step; all where there are fewer.
     """
 
     def __init__(
@@ -115,12 +116,11 @@ class GtrsTask:
         kept: int,
     ) -> None:
         self.store, self.indices, self.batch = store, indices, batch
-        self._kept = min(kept, len(store.vocabulary))
+        self.primitives = store.record.primitives
+        self._mirror = self.primitives.mirror
+        self._kept = min(kept, len(self.primitives))
         self.model, self.reader = model, reader
         self.modules: Mapping[str, nn.Module] = {"gtrs": model, "reader": reader}
-        self._mirror = mirror_index(store.vocabulary)
-        self.vocabulary = torch.from_numpy(store.vocabulary)
-        self.comfortable = torch.from_numpy(comfortable_plans(store.vocabulary))
 
     def loss(self, step: int, random: StepRandom) -> StepLoss:
         """Loss of the batch of a step, and its terms."""
@@ -138,7 +138,7 @@ class GtrsTask:
             augment(self.picture(index, bool(there)), rng)
             for index, there in zip(chosen, known, strict=True)
         ]
-        scored = vocabulary_dropout(len(self.vocabulary), self._kept, random.torch).numpy()
+        scored = vocabulary_dropout(len(self.primitives), self._kept, random.torch).numpy()
         every = np.arange(self.store.status.shape[1])
         found = self.of(self.gather(chosen, every, mirrored, images, known, scored))
         return StepLoss(sum_of(found), {k: float(v.detach()) for k, v in found.items()})
@@ -169,7 +169,7 @@ class GtrsTask:
             mirrored: (B,) whether a sample is taken in the mirror.
             images: pictures instead of those of `picture`.
             known: (B,) whether they have an earlier image; None for as the samples have.
-            scored: (L,) indices of the trajectories; None for all.
+            scored: (L,) indices of the primitives; None for all.
         """
         store, twice = self.store, self._mirror
         if scored is None:
@@ -185,6 +185,9 @@ class GtrsTask:
             pictures[row] = mirror_image(pictures[row])
             status[row], clues[row] = mirror_status(status[row]), mirror_clues(clues[row])
             best[row] = twice[best[row]]
+        possible = self.primitives.trajectories(status.reshape(-1, status.shape[-1]))
+        demonstrated = possible[np.arange(len(possible)), best.ravel()][:, DEMONSTRATED]
+        trajectories = possible[:, scored]
         scores = np.moveaxis(scores, 2, 0).reshape(len(SCORED), -1, len(scored))
         targets = {name: torch.from_numpy(scores[i]) for i, name in enumerate(SCORED)}
         targets[METRICS[6]] = torch.ones_like(targets[SCORED[0]])
@@ -198,9 +201,10 @@ class GtrsTask:
             before[0] if before else None,
             torch.from_numpy(known),
             torch.from_numpy(status).flatten(0, 1),
-            self.vocabulary[torch.from_numpy(scored)],
+            torch.from_numpy(trajectories),
+            torch.from_numpy(comfortable_plans(trajectories)),
             targets,
-            self.vocabulary[torch.from_numpy(best.ravel())][:, DEMONSTRATED],
+            torch.from_numpy(demonstrated),
             torch.from_numpy(clues),
         )
 
@@ -353,7 +357,7 @@ class PlannerTrainingConfig(Record):
         network: sizes.
         scoring: score weights of the exported planner, by which it is judged too.
         batch: samples a step, even.
-        kept: trajectories of the vocabulary that are scored in a step.
+        kept: primitives that are scored in a step.
         oracle_only: leave out samples that show a reconstruction, those held out too.
         judged: held-out samples that each line of the log is judged on; at the end all are.
         sheet_every: steps between sheets of held-out decisions; 0 draws none.

@@ -31,7 +31,6 @@ from recast_tools.planner_training.evaluate import (
 from recast_tools.planner_training.samples import (
     RECORD_FILE,
     RENDERERS,
-    VOCABULARY_FILE,
     SampleStore,
 )
 from recast_tools.planner_training.task import (
@@ -54,8 +53,8 @@ class PlannerTrainingRecord(Record):
 
     Attributes:
         config: configuration of the training.
-        dataset_sha256: SHA-256 of each dataset's record and vocabulary; worlds may be added between
-            two trainings, not during one.
+        dataset_sha256: SHA-256 of each dataset's record; worlds may be added between two
+            trainings, not during one.
         samples: number of samples that are trained on.
         held_out: number of samples that are held out.
         parameters: number of the planner's parameters.
@@ -99,7 +98,7 @@ def train_planner(
     `planner_training.json`.
 
     Args:
-        datasets: folders of samples for one vocabulary, such as those of one driver after another.
+        datasets: folders of samples that go together, such as those of one driver after another.
         start: folder of a GTRS planner of the same sizes, whose weights are the first; None: drawn.
 
     Raises:
@@ -165,7 +164,7 @@ def export_planner(training: Path, datasets: Sequence[Path], out: Path) -> GtrsP
     _take_averages(state, setting.task, trainer.seed)
     planner = GtrsPlanner(
         setting.task.model,
-        setting.store.vocabulary,
+        setting.store.record.primitives,
         MINI_VIEWS,
         name=folder_name(out.resolve().name),
         weights=found.config.scoring,
@@ -197,9 +196,7 @@ def _open(
     reader = ClueReader(config.network.channels, torch.Generator().manual_seed(seed + 1))
     record = PlannerTrainingRecord(
         config=config,
-        dataset_sha256=[
-            hash_files(one, [one / RECORD_FILE, one / VOCABULARY_FILE]) for one in datasets
-        ],
+        dataset_sha256=[hash_files(one, [one / RECORD_FILE]) for one in datasets],
         samples=len(train_on),
         held_out=len(held_out),
         parameters=sum(parameter.numel() for parameter in model.parameters()),
@@ -210,7 +207,7 @@ def _open(
 
 
 def _begin_from(model: GtrsModel, folder: Path) -> None:
-    """Give a model the weights of a planner's folder; any vocabulary will do."""
+    """Give a model the weights of a planner's folder, whatever it chooses from."""
     found = load_gtrs(folder).model
     alike = found.config.model_copy(update={"history": model.config.history})
     if alike != model.config or (found.config.history and not model.config.history):
