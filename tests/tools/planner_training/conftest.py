@@ -50,5 +50,5 @@ def small_dataset(tmp_path_factory: pytest.TempPathFactory) -> Path:
             scores = np.stack([one.scores for one in found])
             best = np.array([one.best for one in found], np.int32)
             samples.append(Sample(image, status, scores, best, clues))
-        write_world(world_folder(folder, number), samples, [1, 0], [-1, -1])
+        write_world(world_folder(folder, number), samples, [1, 0], [-1, -1], PRIMITIVES)
     return folder

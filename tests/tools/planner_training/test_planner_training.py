@@ -1,8 +1,11 @@
+import re
 import shutil
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
 import pytest
 import torch
 from rich.console import Console
@@ -16,7 +19,7 @@ from recast.training.state import STATE_FILE, TrainerSettings
 from recast_tools.planner_training.evaluate import truth_sheet
 from recast_tools.planner_training.samples import (
     HELD_OUT_EVERY,
-    RENDERERS,
+    SAMPLES_FILE,
     DatasetRecord,
     SampleStore,
     world_folder,
@@ -59,6 +62,14 @@ def config(steps: int, **changes: object) -> PlannerTrainingConfig:
     return PlannerTrainingConfig(**(said | changes))
 
 
+def change(world: Path, column: str, values: list[Any]) -> None:
+    """Write other values into a column of a world's samples."""
+    table = pq.read_table(world / SAMPLES_FILE)
+    index = table.schema.get_field_index(column)
+    table = table.set_column(index, column, pa.array(values, table.schema.field(index).type))
+    pq.write_table(table, world / SAMPLES_FILE)
+
+
 def test_a_killed_training_ends_in_the_same_bytes(small_dataset: Path, tmp_path: Path) -> None:
     whole, parts = tmp_path / "whole", tmp_path / "parts"
     reached = train_planner([small_dataset], whole, config(6), QUIET)
@@ -92,10 +103,7 @@ def test_reconstructed_samples_can_be_left_out(small_dataset: Path, tmp_path: Pa
     for folder in (mixed, traced):
         shutil.copytree(small_dataset, folder)
     for number in (2, 5):
-        samples = np.load(world_folder(mixed, number) / "samples.npz")
-        shown = np.full(2, RENDERERS.index("replaced"), np.uint8)
-        path = world_folder(mixed, number) / "samples.npz"
-        np.savez(path, allow_pickle=False, **{**samples, "renderer": shown})
+        change(world_folder(mixed, number), "renderer", ["replaced", "replaced"])
         shutil.rmtree(world_folder(traced, number))
     states = {}
     for name, folder, oracle_only in (
@@ -236,9 +244,7 @@ def test_a_training_with_a_second_image(small_dataset: Path, tmp_path: Path) -> 
     data = tmp_path / "data"
     shutil.copytree(small_dataset, data)
     for number in range(10):  # each second sample is a second later than the first
-        path = world_folder(data, number) / "samples.npz"
-        samples = dict(np.load(path))
-        np.savez(path, allow_pickle=False, **{**samples, "before": np.array([-1, 0], np.int32)})
+        change(world_folder(data, number), "before", [-1, 0])
     train_planner([data], tmp_path / "first", config(2), QUIET)
     export_planner(tmp_path / "first", [data], tmp_path / "one")
     two = TINY.model_copy(update={"history": 1.0})
@@ -267,3 +273,31 @@ def test_twins_lack_the_same_images(small_dataset: Path) -> None:
     for step in range(6):
         task.loss(step, StepRandom.of(0, step))
     assert not np.concatenate(seen).any()  # one of each pair has no image before
+
+
+@pytest.mark.parametrize(
+    ("column", "values", "says"),
+    [
+        ("renderer", ["oracle", "dream"], "row 1 is 'dream'"),
+        ("image", ["000.png", "../000.png"], "row 1 is '../000.png'"),
+        ("best", [[1, 2], [3]], "has 1 numbers, not 2"),
+        ("scores", [[1], [2]], "has 1 numbers, not"),
+    ],
+)
+def test_damaged_samples_are_told(
+    small_dataset: Path, tmp_path: Path, column: str, values: list[Any], says: str
+) -> None:
+    data = tmp_path / "data"
+    shutil.copytree(small_dataset, data)
+    change(world_folder(data, 4), column, values)
+    with pytest.raises(InputError, match=re.escape(says)) as told:
+        SampleStore(data)
+    assert "world-00004" in str(told.value)
+
+
+def test_a_missing_picture_is_told(small_dataset: Path, tmp_path: Path) -> None:
+    data = tmp_path / "data"
+    shutil.copytree(small_dataset, data)
+    (world_folder(data, 4) / "001.png").unlink()
+    with pytest.raises(InputError, match=r"001\.png"):
+        SampleStore(data).image(9)

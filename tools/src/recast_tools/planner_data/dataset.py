@@ -171,7 +171,8 @@ def make_world_samples(
                 twin = describe(stage, alone, image, renderer, record.primitives)[0]
                 twin_before = written.add(twin, twin_before, before if in_sight else -1)
             drive.go(driver.choose(sample, seen, possible, targets, rng).astype(np.float64))
-    write_world(world_folder(out, number), written.samples, written.twins, written.before)
+    folder = world_folder(out, number)
+    write_world(folder, written.samples, written.twins, written.before, record.primitives)
 
 
 class SampleWriter:

@@ -1,7 +1,8 @@
-"""Samples on disk, a folder for each world, and changes of their pictures for the training.
+"""Samples on disk, a folder of PNG files and a parquet table for each world, and changes of their
+pictures for the training.
 
-Pictures are memory-mapped, worlds are there whole or not at all. The changes leave what a picture
-shows: rendered scenes look worse than traced ones.
+Pictures are read when they are looked at, worlds are there whole or not at all. The changes leave
+what a picture shows: rendered scenes look worse than traced ones.
 """
 
 from __future__ import annotations
@@ -13,14 +14,18 @@ from typing import Literal, get_args
 
 import cv2
 import numpy as np
+import pyarrow as pa
 from numpy.typing import NDArray
 from pydantic import Field
 
 from recast.arrays import Image
 from recast.core.errors import InputError
-from recast.core.files import atomic_folder
+from recast.core.files import atomic_folder, read_bytes, write_bytes
 from recast.core.records import Record, read_record
+from recast.core.table_files import read_parquet, write_parquet
+from recast.logs.images import decode, encode
 from recast.planning.gtrs.config import PRIMITIVES, MotionPrimitives
+from recast_tools.planner_training.targets import SCORED
 
 RECORD_FILE, DRIVER_FOLDER = "dataset.json", "driver"
 VERSION: Literal[5] = 5
@@ -51,10 +56,26 @@ RENDERERS: tuple[Renderer, ...] = get_args(Renderer)
 a generated vehicle in its place, or with that vehicle refined."""
 
 _GOLDEN = (5**0.5 - 1) / 2
-_IMAGES, _REST = "images.npy", "samples.npz"
-_OF_SAMPLE = ("status", "scores", "best", "clues")
+SAMPLES_FILE = "samples.parquet"
+_SIZE, _LARGEST = (128, 512), 1 << 20
+"""Pixels of a picture, and bytes of its file at most."""
 _LINKS = ("twin", "before")
-_MEMBERS = (*_OF_SAMPLE, "renderer", *_LINKS)
+_FLOATS = pa.list_(pa.float32())
+_SCHEMA = pa.schema(
+    {
+        "image": pa.string(),
+        "status": _FLOATS,
+        "expert": _FLOATS,
+        "scores": pa.list_(pa.uint8()),
+        "best": pa.list_(pa.int32()),
+        "clues": _FLOATS,
+        "renderer": pa.string(),
+        "twin": pa.int32(),
+        "before": pa.int32(),
+    }
+)
+"""Columns of `samples.parquet`, a row for each sample; see `Sample` and `SampleStore`. `image` is a
+file beside it, `expert` the best trajectory at each speed (K, 40, 3); arrays are flat."""
 
 _CLEAN = 0.15
 _ONE_CAMERA, _UNSEEN = 0.2, (0.14, 0.27)
@@ -131,7 +152,11 @@ def world_folder(folder: Path, number: int) -> Path:
 
 
 def write_world(
-    folder: Path, samples: Sequence[Sample], twins: Sequence[int], before: Sequence[int]
+    folder: Path,
+    samples: Sequence[Sample],
+    twins: Sequence[int],
+    before: Sequence[int],
+    primitives: MotionPrimitives,
 ) -> None:
     """Write the samples of a world, whole or not at all.
 
@@ -139,12 +164,26 @@ def write_world(
         twins: number, for each sample, of the one that differs in the vehicle alone, or -1.
         before: number, for each sample, of the one that was seen a second earlier, or -1.
     """
+    rows = []
     with atomic_folder(folder) as partial:
-        np.save(partial / _IMAGES, np.stack([one.image for one in samples]))
-        arrays = {name: np.stack([getattr(one, name) for one in samples]) for name in _OF_SAMPLE}
-        arrays["renderer"] = np.array([RENDERERS.index(one.renderer) for one in samples], np.uint8)
-        arrays["twin"], arrays["before"] = np.array(twins, np.int32), np.array(before, np.int32)
-        np.savez_compressed(partial / _REST, allow_pickle=False, **arrays)
+        for index, one in enumerate(samples):
+            name = f"{index:03d}.png"
+            write_bytes(partial / name, encode(one.image))
+            possible = primitives.trajectories(one.status)
+            rows.append(
+                {
+                    "image": name,
+                    "status": one.status.ravel(),
+                    "expert": possible[np.arange(len(possible)), one.best].ravel(),
+                    "scores": one.scores.ravel(),
+                    "best": one.best,
+                    "clues": one.clues,
+                    "renderer": one.renderer,
+                    "twin": int(twins[index]),
+                    "before": int(before[index]),
+                }
+            )
+        write_parquet(partial / SAMPLES_FILE, pa.Table.from_pylist(rows, schema=_SCHEMA))
 
 
 class SampleStore:
@@ -181,37 +220,31 @@ class SampleStore:
                 mend = "make them with `recast planner dataset`"
                 raise InputError(folder, "samples", "are missing", mend)
             paths += found
-        self._images: list[NDArray[np.uint8]] = []
-        parts: dict[str, list[np.ndarray]] = {name: [] for name in _MEMBERS}
-        worlds, first = [], 0
+        speeds, each = self.record.speeds, len(self.record.primitives)
+        self._images: list[Path] = []
+        parts: dict[str, list[np.ndarray]] = {name: [] for name in _SCHEMA.names}
+        worlds: list[int] = []
         for path in paths:
-            images, rest = _read_world(path)
-            self._images.append(images)
-            for name in _MEMBERS:
-                parts[name].append(rest[name])
-            for name in _LINKS:
-                link = parts[name][-1]
-                parts[name][-1] = np.where(link < 0, -1, link + first)
-            worlds.append(np.full(len(images), int(path.name.removeprefix("world-"))))
-            first += len(images)
-        self.worlds = np.concatenate(worlds)
-        joined = (np.concatenate(parts[name]) for name in _MEMBERS)
+            first = len(worlds)
+            for name, values in _read_world(path, speeds, each).items():
+                linked = np.where(values < 0, -1, values + first) if name in _LINKS else values
+                parts[name].append(linked)
+            self._images += [path / name for name in parts["image"][-1]]
+            worlds += [int(path.name.removeprefix("world-"))] * len(parts["image"][-1])
+        self.worlds = np.array(worlds)
         self.status, self.scores, self.best, self.clues, self.renderer, self.twin, self.before = (
-            joined
+            np.concatenate(parts[name])
+            for name in ("status", "scores", "best", "clues", "renderer", *_LINKS)
         )
-        self._first = np.cumsum([0, *(len(images) for images in self._images)])
-        primitives = self.record.primitives
-        if self.scores.shape[-1] != len(primitives):
-            problem = f"are {len(primitives)}, but {self.scores.shape[-1]} were scored"
-            raise InputError(folder / RECORD_FILE, "primitives", problem, MEND)
 
     def __len__(self) -> int:
         return len(self.worlds)
 
     def image(self, index: int) -> NDArray[np.uint8]:
-        """(128, 512, 3) uint8."""
-        part = int(np.searchsorted(self._first, index, side="right")) - 1
-        return np.array(self._images[part][index - self._first[part]])
+        """(128, 512, 3) uint8. Raises InputError: its file is missing or broken."""
+        path = self._images[index]
+        says = f"{SAMPLES_FILE} beside it"
+        return decode(read_bytes(path, _LARGEST), "png", (_SIZE[1], _SIZE[0]), path, says)
 
     def trajectories(self, chosen: NDArray[np.int64], speed: int = 0) -> NDArray[np.float32]:
         """(B, L, 40, 3) what can be chosen from in samples (B,), at one of their speeds."""
@@ -234,14 +267,31 @@ def read_dataset(folder: Path) -> DatasetRecord:
     return read_record(name, DatasetRecord, VERSION, MEND, "recast-planner-dataset")
 
 
-def _read_world(path: Path) -> tuple[NDArray[np.uint8], dict[str, np.ndarray]]:
-    try:
-        images = np.load(path / _IMAGES, mmap_mode="r", allow_pickle=False)
-        with np.load(path / _REST, allow_pickle=False) as archive:
-            return images, {name: archive[name] for name in _MEMBERS}
-    except (OSError, ValueError, KeyError, EOFError) as error:
-        said = " ".join(str(error).split())
-        raise InputError(path, "samples", f"cannot be read ({said})", f"remove {path}") from None
+def _read_world(path: Path, speeds: int, each: int) -> dict[str, np.ndarray]:
+    """The columns of a world but for the expert's: arrays of a row for each sample."""
+    mend = f"remove {path}, and make it again with `recast planner dataset`"
+    used = [name for name in _SCHEMA.names if name != "expert"]
+    table = read_parquet(path / SAMPLES_FILE, used, mend)
+    renderer = table.words("renderer")
+    images = table.words("image")
+    for name, values, good in (
+        ("renderer", renderer, [one in RENDERERS for one in renderer]),
+        ("image", images, [one == Path(one).name for one in images]),
+    ):
+        for row in np.flatnonzero(~np.array(good)):
+            problem = f"row {row} is {values[row]!r}"
+            raise InputError(path / SAMPLES_FILE, f"column {name}", problem, mend)
+    return {
+        "image": images,
+        "status": table.lists("status", speeds * 8).astype(np.float32).reshape(-1, speeds, 8),
+        "scores": table.lists("scores", speeds * len(SCORED) * each)
+        .astype(np.uint8)
+        .reshape(-1, speeds, len(SCORED), each),
+        "best": table.lists("best", speeds).astype(np.int32),
+        "clues": table.lists("clues", len(CLUES)).astype(np.float32),
+        "renderer": np.array([RENDERERS.index(one) for one in renderer], np.uint8),
+        **{name: table.numbers(name).astype(np.int32) for name in _LINKS},
+    }
 
 
 def augment(image: Image, rng: np.random.Generator) -> Image:

@@ -211,11 +211,11 @@ class GtrsTask:
     def of(self, batch: Batch) -> dict[str, Tensor]:
         """Terms of the loss by name."""
         earlier = None
-        if batch.earlier is None:
-            features = self.model.backbone(batch.images)
-        else:
-            both = torch.cat([batch.images, batch.earlier])
-            features, earlier = self.model.backbone(both).chunk(2)
+        if batch.earlier is not None:
+            # The backbone learns from the present images: a step takes a quarter less.
+            with torch.no_grad():
+                earlier = self.model.backbone(batch.earlier)
+        features = self.model.backbone(batch.images)
         logits = self.logits(features, batch, earlier)
         terms = training_loss(logits, batch.targets, batch.trajectories, batch.demonstration)
         read = self.reader(self.model.image_tokens(features))
