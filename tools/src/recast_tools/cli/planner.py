@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
 
@@ -38,6 +38,12 @@ class Dataset:
     reconstructed: float = 0.0
     """Share of the worlds that are shown by a reconstructed street instead of the oracle, with the
     target as reconstructed, replaced, and replaced and refined (0 to 1)."""
+    renderers: tuple[Literal["oracle", "native", "replaced", "refined"], ...] = (
+        "native",
+        "replaced",
+        "refined",
+    )
+    """What shows the drives in reconstructed worlds, in turn."""
     street_steps: int = 1000
     """Number of training steps of each reconstructed street."""
     store: Annotated[
@@ -66,6 +72,7 @@ class Dataset:
                 scenes=SCENES,
                 reconstructed=self.reconstructed,
                 street_steps=self.street_steps,
+                renderers=self.renderers,
                 driver=""
                 if driver is None
                 else hash_files(driver, [driver / WEIGHTS_FILE, driver / CONFIG_FILE]),

@@ -29,8 +29,6 @@ from recast.synthetic.world import make_rig
 from recast.synthetic.write import Oracle
 from recast_tools.planner_data.drive import SampleSituation, begin_drive
 from recast_tools.planner_data.reconstruction import (
-    RECONSTRUCTED,
-    Reconstruction,
     SamplePainter,
     reconstruct,
     traced,
@@ -136,12 +134,18 @@ def make_world_samples(
     if record.is_reconstructed(number):
         shown = reconstruct(make_world(scene, seed, record.seconds), store, record.street_steps)
     stage = make_stage(scene, seed, record.seconds) if shown is None else shown.stage
-    oracle = Oracle(stage.world) if shown is None else None
+    oracle = Oracle(stage.world)
+    shows: tuple[Renderer, ...] = record.renderers if shown is not None else ("oracle",)
     written = SampleWriter(record.per_world)
     drives = 0
     while not written.full:
         rng = np.random.default_rng([seed, record.seed, drives])
-        renderer, paint = _painter(shown, oracle, number + drives, rng)
+        renderer = shows[(number + drives) % len(shows)]
+        # Noise of its own: a drive is the same whoever shows it.
+        noise = np.random.default_rng(rng.integers(2**63))
+        paint = traced(oracle, noise)
+        if shown is not None and renderer != "oracle":
+            paint = shown.painter(renderer)
         drive = begin_drive(stage, rng)
         drives += 1
         if drives > _MOST_DRIVES * record.per_world:
@@ -248,17 +252,6 @@ class Driver:
             if len(in_lane):
                 return possible[int(rng.choice(in_lane))]
         return possible[targets.best]
-
-
-def _painter(
-    shown: Reconstruction | None, oracle: Oracle | None, turn: int, rng: np.random.Generator
-) -> tuple[Renderer, SamplePainter]:
-    """What renders a sample; the variants of a reconstruction take turns."""
-    if shown is None:
-        assert oracle is not None
-        return "oracle", traced(oracle, rng)
-    renderer = RECONSTRUCTED[turn % len(RECONSTRUCTED)]
-    return renderer, shown.painter(renderer)
 
 
 def _open(out: Path, record: DatasetRecord, driver: Path | None) -> None:

@@ -42,7 +42,7 @@ from recast_tools.planner_data.stage import SampleStage, stage_of
 from recast_tools.planner_training.samples import RENDERERS, Renderer
 from recast_tools.planner_training.task import HALF_VIEWS
 
-RECONSTRUCTED: tuple[Renderer, ...] = RENDERERS[1:]
+_VARIANTS: tuple[Renderer, ...] = RENDERERS[1:]
 _SEED = 0
 _EVERY = 2
 """Every second of the moments of the log: five images a second and camera, about 2 m apart."""
@@ -157,7 +157,7 @@ def reconstruct(world: World, store: Store, steps: int) -> Reconstruction | None
     refined = refine_vehicle(maker, registered, street, _SEED)
     scene = load_scene(street.path)
     streets = scene, _with(scene, registered), _with(scene, refined)
-    return Reconstruction(world, dict(zip(RECONSTRUCTED, streets, strict=True)))
+    return Reconstruction(world, dict(zip(_VARIANTS, streets, strict=True)))
 
 
 def _with(scene: StreetScene, actor: Artefact) -> StreetScene:

@@ -96,6 +96,8 @@ class DatasetRecord(Record):
         scenes: names of scenes, which the worlds take in turn.
         reconstructed: share of the worlds whose images are those of a reconstructed street.
         street_steps: training steps of each of these streets.
+        renderers: what a drive in one of them is shown by, in turn; the oracle shows the same drive
+            as it truly is, without the vehicles that the street has no model of.
         driver: SHA-256 of the weights of the planner that drives every second drive; "" without.
         primitives: what is scored.
     """
@@ -109,6 +111,7 @@ class DatasetRecord(Record):
     scenes: tuple[str, ...] = Field(min_length=1)
     reconstructed: float = Field(default=0.0, ge=0.0, le=1.0)
     street_steps: int = Field(default=1000, ge=1)
+    renderers: tuple[Renderer, ...] = Field(default=RENDERERS[1:], min_length=1)
     driver: str = ""
     primitives: MotionPrimitives = PRIMITIVES
 
