@@ -20,6 +20,7 @@ from recast_tools.planner_training.targets import (
     TargetObstacle,
     collisions,
     score_trajectories,
+    steady_best,
 )
 from support.target_roads import moving, straight_road
 
@@ -153,3 +154,17 @@ def test_the_mirrored_street_gives_the_mirrored_scores() -> None:
     one = score_trajectories(possible(left), left, road, [here])
     other = score_trajectories(possible(right), right, road, [there])
     np.testing.assert_array_equal(one.scores, other.scores[:, PRIMITIVES.mirror])
+
+
+def test_what_suffices_only_just_is_not_the_best() -> None:
+    """Of braking harder and harder one scores best; who may miss it brakes a little more."""
+    rates = np.linspace(-4.0, 0.0, 9)
+    times = 0.1 * np.arange(1, 41)
+    fan = np.zeros((1, 9, 40, 3), np.float32)
+    fan[0, :, :, 0] = 10.0 * times + rates[:, None] / 2 * times**2
+    totals = np.linspace(0.8, 1.0, 9)[None]
+    everything, some = np.ones((1, 9)), (rates <= -2.0)[None].astype(np.float64)
+    assert steady_best(fan, totals, everything)[0] == 8  # on a free road nothing changes
+    just = int((totals * some).argmax())
+    assert rates[just] == -2.0
+    assert steady_best(fan, totals * some, some)[0] < just

@@ -47,6 +47,9 @@ _SHARES = {
     "advancing": 0.08,
 }
 """Shares of what happens. A planner that rarely follows a car brakes for every one."""
+_CALM = {"leading": 0.75, "cut-in": 0.5}
+"""Shares of the cars ahead that drive on about as fast as they did. Where half of them brake, the
+best that a planner can do behind any car is to brake."""
 _TRAFFIC_WITH, _TRAFFIC_BESIDE = 0.75, 0.3
 """Shares of drives with the log's traffic: of ordinary ones, and of those with an actor."""
 _ABOUT = (0.75, 1.15)
@@ -280,6 +283,7 @@ def _motion(kind: str, rng: np.random.Generator) -> ScriptMotion:
     def between(low: float, high: float) -> float:
         return float(rng.uniform(low, high))
 
+    calm = rng.uniform() < _CALM[kind] if kind in _CALM else False
     if kind == "stationary":
         yaw = between(-0.3, 0.3) + (np.pi if rng.uniform() < 0.5 else 0.0)
         return Stationary(
@@ -304,7 +308,7 @@ def _motion(kind: str, rng: np.random.Generator) -> ScriptMotion:
             "random",
             gap=between(3, 18),
             initial_speed=between(0.5, 1.1),
-            target_speed=between(0.25, 1.0),
+            target_speed=between(0.8, 1.0) if calm else between(0.25, 0.8),
             delay=between(0.2, 2.5),
             duration=between(2.0, 3.8),
         )
@@ -312,8 +316,8 @@ def _motion(kind: str, rng: np.random.Generator) -> ScriptMotion:
         return CutIn(
             "random",
             gap=between(6, 40),
-            initial_speed=between(0.75, 1.1),
-            target_speed=between(0.3, 1.15),
+            initial_speed=between(0.9, 1.1) if calm else between(0.75, 1.1),
+            target_speed=between(0.92, 1.1) if calm else between(0.3, 0.92),
             delay=between(0.0, 4.0),
             duration=between(2.0, 4.0),
         )
