@@ -4,8 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
 import pytest
 
 from recast.cameras import CameraMount, PinholeCamera
@@ -78,7 +81,7 @@ def test_a_sample_says_what_was_seen_and_what_both_would_do(tmp_path: Path) -> N
         np.testing.assert_allclose(told.expert[row], expert.plan(seen).waypoints, atol=1e-4)
         np.testing.assert_allclose(told.planner[row], planner.plan(seen).waypoints, atol=1e-4)
         assert told.status[row, 4] == np.float32(seen.ego.vx)
-        x, y, heading, length, width, vx, vy = told.boxes[row][0]
+        x, y, heading, vx, vy, length, width, height = told.boxes[row][0]
         actor = seen.actors[0]
         here = seen.ego.pose
         turn = np.array([np.cos(here[2]), np.sin(here[2])])
@@ -86,7 +89,7 @@ def test_a_sample_says_what_was_seen_and_what_both_would_do(tmp_path: Path) -> N
         assert x == pytest.approx(ahead @ turn, abs=1e-4)
         assert y == pytest.approx(turn[0] * ahead[1] - turn[1] * ahead[0], abs=1e-4)
         assert heading == pytest.approx(actor.pose[2] - here[2], abs=1e-4)
-        assert (length, width) == pytest.approx(tuple(actor.size[:2]), abs=1e-5)
+        assert (length, width, height) == pytest.approx(tuple(actor.size), abs=1e-5)
         assert np.hypot(vx, vy) == pytest.approx(np.hypot(*actor.velocity), abs=1e-4)
         seen = sim.step(expert.plan(seen))
     assert set(told.ahead) <= {"free", "leading", "oncoming", "crossing", "standing"}
@@ -164,6 +167,22 @@ def test_it_goes_on_where_it_was_killed(tmp_path: Path, monkeypatch: pytest.Monk
         for rollout in ("rollout-00000", "rollout-00001"):
             one, other = (root / rollout / name for root in (whole, parts))
             assert one.read_bytes() == other.read_bytes()
+
+
+@pytest.mark.parametrize(
+    ("column", "cell"),
+    [("boxes", [1.0] * 9), ("boxes", [None] * 8), ("images", "../front.png"), ("expert", [1.0])],
+)
+def test_damaged_samples_are_told(column: str, cell: Any, tmp_path: Path) -> None:
+    collect_samples(Straight(), [simulator], tmp_path, expert="idm-follower")
+    path = tmp_path / "rollout-00000" / SAMPLES_FILE
+    table = pq.read_table(path)
+    index = table.schema.get_field_index(column)
+    cells = [*table.column(column).to_pylist()[:-1], cell]
+    damaged = table.set_column(index, column, pa.array(cells, table.schema.field(index).type))
+    pq.write_table(damaged, path)
+    with pytest.raises(InputError, match=f"column {column}, row 1"):
+        read_samples([tmp_path])
 
 
 def test_bad_arguments_are_refused(tmp_path: Path) -> None:

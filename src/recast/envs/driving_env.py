@@ -27,13 +27,12 @@ from recast.metrics.driving import TOUCHING, any_collision, drivable_area_compli
 from recast.metrics.rollout_metrics import rollout_metrics
 from recast.planning import (
     WAYPOINTS,
-    ActorState,
     Plan,
     PlannerInput,
     PlanningContext,
     ReferenceRoute,
 )
-from recast.planning.types import COMMANDS
+from recast.planning.types import ACTOR_COLUMNS, COMMANDS
 from recast.simulation import (
     AnyMotion,
     BaseController,
@@ -59,9 +58,6 @@ _MODEL = BicycleModel()
 ROUTE_POINTS = 20
 ROUTE_SPACING = 2.5
 """Metres between the points of the route ahead."""
-ACTOR_COLUMNS = ("x", "y", "heading", "vx", "vy", "length", "width", "height")
-"""Box centre and velocity in the ego frame; the velocity is that over ground, not relative to the
-ego's."""
 _SECONDS = 2.0
 
 
@@ -176,7 +172,7 @@ def observation(
     actors = np.zeros((most_actors, len(ACTOR_COLUMNS)))
     shown = seen.actors[:most_actors]
     for row, actor in enumerate(shown):
-        actors[row] = _actor(pose, actor)
+        actors[row] = actor.seen_from(pose)
     mask = np.zeros(most_actors, np.int8)
     mask[: len(shown)] = 1
     made: dict[str, Any] = {
@@ -190,11 +186,6 @@ def observation(
     if seen.images:
         made["images"] = {name: image.copy() for name, image in seen.images.items()}
     return made
-
-
-def _actor(pose: Array, actor: ActorState) -> Array:
-    turned = se2.relative([0.0, 0.0, pose[2]], [*actor.velocity, 0.0])[:2]
-    return np.concatenate([se2.relative(pose, actor.pose), turned, actor.size])
 
 
 def _numbers(*shape: int) -> spaces.Box:

@@ -263,6 +263,11 @@ class PlanningContext:
     seed: int = 0
 
 
+ACTOR_COLUMNS = ("x", "y", "heading", "vx", "vy", "length", "width", "height")
+"""Box centre and velocity in the ego frame; the velocity is that over ground, not relative to the
+ego's."""
+
+
 @dataclass(frozen=True)
 class ActorState:
     """One other road user now.
@@ -279,6 +284,11 @@ class ActorState:
     pose: Array
     velocity: Array
     size: Array
+
+    def seen_from(self, pose: Array) -> Array:
+        """(8,) see `ACTOR_COLUMNS`, for an ego at a pose (3,)."""
+        turned = se2.relative([0.0, 0.0, pose[2]], [*self.velocity, 0.0])[:2]
+        return np.concatenate([se2.relative(pose, self.pose), turned, self.size])
 
 
 @dataclass(frozen=True)

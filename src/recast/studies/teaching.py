@@ -30,18 +30,14 @@ from recast.core.files import (
 from recast.core.foreign import whole
 from recast.core.records import Record, read_record
 from recast.core.table_files import read_parquet, write_parquet
-from recast.dynamics import state as ego
-from recast.geometry import se2
 from recast.logs.images import decode, encode, size_of
 from recast.planning import BasePlanner, Plan, Planner, PlannerInput, make_planner
-from recast.planning.types import WAYPOINTS, ego_status
+from recast.planning.types import ACTOR_COLUMNS, WAYPOINTS, ego_status
 from recast.simulation import Simulator
 from recast.simulation.planner_calls import PlannerCalls
 from recast.studies.planner_driving import what_is_ahead
 
 SAMPLES_FILE, RECORD_FILE = "samples.parquet", "rollout.json"
-BOX = ("x", "y", "heading", "length", "width", "vx", "vy")
-"""Columns of a road user's box: ego frame, metres and radians; velocity over ground, m/s."""
 _FLOATS = pa.list_(pa.float32())
 _SCHEMA = pa.schema(
     {
@@ -205,22 +201,11 @@ class _Collector:
                 "status": ego_status(seen.command, seen.ego),
                 "planner": plan.waypoints.ravel(),
                 "expert": label.waypoints.ravel(),
-                "boxes": _boxes(seen).ravel(),
+                "boxes": np.ravel([one.seen_from(seen.ego.pose) for one in seen.actors]),
                 "images": " ".join(names.values()),
             }
         )
         return label if self.driver == "expert" else plan
-
-
-def _boxes(seen: PlannerInput) -> Array:
-    """(N, 7) all road users, see `BOX`."""
-    if not seen.actors:
-        return np.zeros((0, len(BOX)))
-    poses = se2.relative(seen.ego[ego.POSE], np.array([one.pose for one in seen.actors]))
-    turn = -float(seen.ego[ego.HEADING])
-    ways = np.array([one.velocity for one in seen.actors])
-    turned = ways @ np.array([[np.cos(turn), np.sin(turn)], [-np.sin(turn), np.cos(turn)]])
-    return np.hstack([poses, np.array([one.size[:2] for one in seen.actors]), turned])
 
 
 def _record(folder: Path) -> CollectedRollout:
@@ -236,7 +221,7 @@ class DrivingSamples:
         status: (N, 8) float32, see `ego_status`.
         planner, expert: (N, 40, 3) waypoints of both, as in `Plan`.
         ahead: (N,) what is ahead, see `recast.studies.planner_driving.what_is_ahead`.
-        boxes: (n, 7) road users of each, see `BOX`.
+        boxes: (n, 8) road users of each, see `recast.planning.types.ACTOR_COLUMNS`.
         files: image files of each by camera.
     """
 
@@ -254,9 +239,7 @@ class DrivingSamples:
     def balanced(self) -> Array:
         """(N,) probabilities by which each kind of what is ahead is drawn equally often."""
         counts = Counter(self.ahead.tolist())
-        share = np.array([1.0 / counts[kind] for kind in self.ahead])
-        found: Array = share / len(counts)
-        return found
+        return np.array([1.0 / (counts[kind] * len(counts)) for kind in self.ahead])
 
     def images(self, index: int) -> dict[str, Image]:
         """(H, W, 3) uint8 by camera. Raises InputError: a file is missing or broken."""
@@ -286,7 +269,11 @@ def read_samples(folders: Sequence[str | Path]) -> DrivingSamples:
         for name, values in rows.items():
             values.append(table.lists(name, widths[name]))
         ahead += table.words("ahead").tolist()
-        boxes += [np.reshape(one, (-1, len(BOX))) for one in table.data.column("boxes").to_pylist()]
+        for row, cell in enumerate(table.data.column("boxes").to_pylist()):
+            if cell is None or len(cell) % len(ACTOR_COLUMNS) or None in cell:
+                problem = f"is not {len(ACTOR_COLUMNS)} numbers for each road user"
+                raise InputError(path / SAMPLES_FILE, f"column boxes, row {row}", problem, _MEND)
+            boxes.append(np.reshape(cell, (-1, len(ACTOR_COLUMNS))))
         for row, told in enumerate(table.words("images")):
             names = str(told).split()
             if any(name != Path(name).name for name in names):
@@ -341,11 +328,14 @@ def train_in_the_loop(
     found = []
     for number in range(rounds):
         folders.append(Path(out) / f"round-{number}")
-        share = 1.0 if number == 0 else 0.0
-        todo = episodes(number)
         found.append(
             collect_samples(
-                planner, todo, folders[-1], expert=expert, expert_drives=share, seed=number
+                planner,
+                episodes(number),
+                folders[-1],
+                expert=expert,
+                expert_drives=float(number == 0),
+                seed=number,
             )
         )
         planner.learn(tuple(folders))

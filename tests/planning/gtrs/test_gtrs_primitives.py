@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -109,7 +110,11 @@ def test_what_is_near_the_best_is_blended_in(
     """A small blend is the best alone, a large one the mean of all by their scores."""
     decision = GtrsPlanner(planner.model, PRIMITIVES, planner.views).decide(observation)
     best = decision.trajectories[decision.best]
-    np.testing.assert_allclose(decision.driven(0.0)[-1, :2], best[-1, :2], atol=1e-5)
+    np.testing.assert_array_equal(decision.driven(0.0), best.astype(np.float64))
+    twice = np.concatenate([decision.trajectories, best[None] * np.float32([1, 1, 0.5])])
+    scores = np.append(decision.scores, decision.scores.max())
+    same_end = replace(decision, trajectories=twice, scores=scores)
+    np.testing.assert_array_equal(same_end.driven(0.0), best.astype(np.float64))
     weights = np.exp(decision.scores - decision.scores.max()).astype(np.float64)
     mean = np.average(decision.trajectories, axis=0, weights=weights)
     np.testing.assert_allclose(decision.driven(1e3), mean, atol=1e-4)

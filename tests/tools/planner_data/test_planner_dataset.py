@@ -15,7 +15,7 @@ import pytest
 from recast.core import open_store
 from recast.core.errors import InputError
 from recast.dynamics import PACIFICA
-from recast.planning.gtrs.config import PRIMITIVES
+from recast.planning.gtrs import PRIMITIVES
 from recast.planning.types import ego_status
 from recast.synthetic import make_world
 from recast.weights import shipped_folder

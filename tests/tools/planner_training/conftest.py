@@ -10,7 +10,7 @@ import pytest
 from recast.core.files import write_json
 from recast.dynamics import make_state
 from recast.planning import DrivingCommand
-from recast.planning.gtrs.config import PRIMITIVES
+from recast.planning.gtrs import PRIMITIVES
 from recast.planning.types import ego_status
 from recast_tools.planner_training.samples import (
     CLUES,

@@ -9,7 +9,7 @@ from recast.dynamics import state as ego
 from recast.geometry import boxes
 from recast.geometry.boxes import bev_touching
 from recast.planning import DrivingCommand
-from recast.planning.gtrs.config import PRIMITIVES
+from recast.planning.gtrs import PRIMITIVES
 from recast.planning.pdm import AgentKind, Forecast
 from recast.planning.pdm.forecast import box_corners
 from recast.planning.pdm.scorer import EgoAreas, at_fault_collisions, time_to_collision

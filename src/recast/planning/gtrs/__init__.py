@@ -4,10 +4,12 @@ from recast.cameras.lenses import Lens
 from recast.cameras.mounts import nuplan_rig
 from recast.planning.gtrs.config import (
     NUPLAN_VIRTUAL,
+    PRIMITIVES,
     WAYMO_NATIVE,
     BackboneConfig,
     BackboneStage,
     GtrsConfig,
+    MotionPrimitives,
     ViewLayout,
     network_input,
 )
@@ -43,6 +45,7 @@ __all__ = [
     "METRICS",
     "METRIC_WEIGHTS",
     "NUPLAN_VIRTUAL",
+    "PRIMITIVES",
     "VOCABULARY_ONLY",
     "WAYMO_NATIVE",
     "BackboneConfig",
@@ -52,6 +55,7 @@ __all__ = [
     "GtrsModel",
     "GtrsPlanner",
     "Lens",
+    "MotionPrimitives",
     "ScoreWeights",
     "ViewLayout",
     "combined_trajectories",

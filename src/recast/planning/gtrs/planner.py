@@ -87,10 +87,12 @@ class GtrsDecision:
 
     def driven(self, blended: float) -> Array:
         """(40, 3) the best trajectory, or the mean of those near it, see `ScoreWeights`."""
+        best = self.best
         ends = self.trajectories[:, -1, :2].astype(np.float64)
-        near = np.linalg.norm(ends - ends[self.best], axis=1) <= blended
+        near = np.linalg.norm(ends - ends[best], axis=1) < blended
         near[: self.first] = False
-        weights = np.exp(self.scores[near].astype(np.float64) - float(self.scores[self.best]))
+        near[best] = True  # alone where nothing is blended, whatever else ends there
+        weights = np.exp(self.scores[near].astype(np.float64) - float(self.scores[best]))
         return np.einsum("n,ntc->tc", weights / weights.sum(), self.trajectories[near])
 
     def top(self, count: int) -> Candidates:

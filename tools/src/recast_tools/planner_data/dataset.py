@@ -20,8 +20,7 @@ from recast.core.records import read_record
 from recast.core.workers import worker_pool
 from recast.dynamics import state as ego
 from recast.geometry import se2
-from recast.planning.gtrs import load_gtrs
-from recast.planning.gtrs.config import MotionPrimitives
+from recast.planning.gtrs import MotionPrimitives, load_gtrs
 from recast.planning.types import ego_status
 from recast.runs.run_folder import STORE_FOLDER
 from recast.synthetic import make_world

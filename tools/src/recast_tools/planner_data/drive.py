@@ -17,7 +17,7 @@ from recast.dynamics import PACIFICA, make_state, plan_to_poses, track
 from recast.dynamics import state as ego
 from recast.geometry import se2
 from recast.planning import BasePlanner, DrivingCommand, Plan, PlannerInput, PlanningContext
-from recast.planning.gtrs.config import PRIMITIVES
+from recast.planning.gtrs import PRIMITIVES
 from recast.planning.pdm.forecast import box_corners
 from recast.planning.types import ego_status
 from recast.simulation import Advancing, CutIn, Oncoming, StartSituation, Stationary
@@ -283,7 +283,7 @@ def _motion(kind: str, rng: np.random.Generator) -> ScriptMotion:
     def between(low: float, high: float) -> float:
         return float(rng.uniform(low, high))
 
-    calm = rng.uniform() < _CALM[kind] if kind in _CALM else False
+    calm = kind in _CALM and rng.uniform() < _CALM[kind]
     if kind == "stationary":
         yaw = between(-0.3, 0.3) + (np.pi if rng.uniform() < 0.5 else 0.0)
         return Stationary(

@@ -96,10 +96,12 @@ def evaluate(task: GtrsTask, indices: NDArray[np.int64], weights: ScoreWeights) 
     try:
         twin = store.twin[indices]
         with_twin = (twin >= 0) & (store.clues[indices, 0] > 0)
-        chosen, loss = _choose(task, weights, indices, indices)
-        _, shuffled = _choose(task, weights, indices, np.roll(indices, len(indices) // 2))
+        chosen, driven, loss = _choose(task, weights, indices, indices)
+        shuffled = _choose(task, weights, indices, np.roll(indices, len(indices) // 2))[2]
         paired = indices[with_twin]
-        erased = _choose(task, weights, paired, twin[with_twin])[0] if len(paired) else chosen[:0]
+        erased, alone = chosen[:0], driven[:0]
+        if len(paired):
+            erased, alone, _ = _choose(task, weights, paired, twin[with_twin])
     finally:
         model.train(was_training)
     scores = store.scores[indices, 0]
@@ -108,27 +110,26 @@ def evaluate(task: GtrsTask, indices: NDArray[np.int64], weights: ScoreWeights) 
     got = true[rows, chosen]
     safe = scores[:, 0] > 127
     in_sight = store.clues[indices, 0] > 0
-    possible = store.trajectories(indices)
-    length, one = possible[:, :, -1, 0], rows[with_twin]
     return SampleScores(
         samples=len(indices),
         loss=loss,
         gap=shuffled - loss,
         score=float(got.mean()),
         regret=float((true.max(axis=1) - got).mean()),
-        comfortable=float(comfortable_plans(possible[rows, chosen]).mean()),
+        comfortable=float(comfortable_plans(driven).mean()),
         safe=_mean(safe[rows, chosen][in_sight]),
         safe_blind=_mean(safe[rows[with_twin], erased]),
         safe_twins=_mean(safe[rows, chosen][with_twin]),
-        slower=_mean(length[one, erased] - length[one, chosen[with_twin]]),
+        slower=_mean(alone[:, -1, 0] - driven[with_twin, -1, 0]),
     )
 
 
 def _choose(
     task: GtrsTask, weights: ScoreWeights, indices: NDArray[np.int64], pictures: NDArray[np.int64]
-) -> tuple[NDArray[np.int64], float]:
-    """Chosen trajectory of each sample, seen with another's picture, and the mean loss."""
-    chosen, losses = [], []
+) -> tuple[NDArray[np.int64], Float32Array, float]:
+    """Chosen primitive of each sample, seen with another's picture, its trajectory (N, 40, 3), and
+    the mean loss."""
+    chosen, driven, losses = [], [], []
     for first in range(0, len(indices), _BATCH):
         part, seen = indices[first : first + _BATCH], pictures[first : first + _BATCH]
         images = [task.picture(index) for index in seen]
@@ -137,9 +138,12 @@ def _choose(
         logits = task.seen(batch)
         terms = training_loss(logits, batch.targets, batch.trajectories, batch.demonstration)
         scored = final_score(logits, weights, batch.comfortable)
-        chosen.append(scored.argmax(dim=1).numpy())
+        best = scored.argmax(dim=1)
+        chosen.append(best.numpy())
+        driven.append(batch.trajectories[torch.arange(len(best)), best].numpy())
         losses.append(float(sum_of(terms)) * len(part))
-    return np.concatenate(chosen), float(np.sum(losses) / len(indices))
+    mean = float(np.sum(losses) / len(indices))
+    return np.concatenate(chosen), np.concatenate(driven), mean
 
 
 def _mean(values: np.ndarray) -> float:
@@ -195,7 +199,7 @@ def _from_above(
     present, x, y, cos, sin = store.clues[index, :5]
     if present:
         _box(canvas, x, y, float(np.arctan2(sin, cos)), (4.6, 1.9), _VEHICLE)
-    possible = store.trajectories(np.array([index]))[0]
+    possible = store.record.primitives.trajectories(store.status[index, :1])[0]
     for entry in best:
         _line(canvas, possible[entry], _BEST)
     if choice is not None:

@@ -24,7 +24,7 @@ from recast.core.files import atomic_folder, read_bytes, write_bytes
 from recast.core.records import Record, read_record
 from recast.core.table_files import read_parquet, write_parquet
 from recast.logs.images import decode, encode
-from recast.planning.gtrs.config import PRIMITIVES, MotionPrimitives
+from recast.planning.gtrs import PRIMITIVES, MotionPrimitives
 from recast_tools.planner_training.targets import SCORED
 
 RECORD_FILE, DRIVER_FOLDER = "dataset.json", "driver"
@@ -248,10 +248,6 @@ class SampleStore:
         path = self._images[index]
         says = f"{SAMPLES_FILE} beside it"
         return decode(read_bytes(path, _LARGEST), "png", (_SIZE[1], _SIZE[0]), path, says)
-
-    def trajectories(self, chosen: NDArray[np.int64], speed: int = 0) -> NDArray[np.float32]:
-        """(B, L, 40, 3) what can be chosen from in samples (B,), at one of their speeds."""
-        return self.record.primitives.trajectories(self.status[chosen, speed])
 
     def by_renderer(self) -> dict[str, int]:
         """Number of samples of each renderer."""
