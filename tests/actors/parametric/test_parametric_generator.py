@@ -18,7 +18,7 @@ from recast.actors.parametric import (
     VehicleLook,
     predict_design,
 )
-from recast.actors.parametric.condition import SHAPES, condition_of, unwrapped
+from recast.actors.parametric.network import SHAPES, condition_of, unwrapped
 from recast.actors.template.design import STYLES
 from recast.cameras import PinholeCamera
 from recast.core.errors import InputError

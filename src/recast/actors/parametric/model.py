@@ -18,8 +18,13 @@ from torch import Tensor
 from recast.actors.generate import VEHICLE, Asset, BaseGenerator
 from recast.actors.observation import Observation
 from recast.actors.parametric.codec import DesignCodec, ParametricVehicle, VehicleLook
-from recast.actors.parametric.condition import ConditionImages, condition_of
-from recast.actors.parametric.network import ParametricConfig, ParametricNetwork, Regressed
+from recast.actors.parametric.network import (
+    ConditionImages,
+    ParametricConfig,
+    ParametricNetwork,
+    Regressed,
+    condition_of,
+)
 from recast.actors.template.body import TemplateBody
 from recast.actors.template.cloud import SurfaceCloud, build_cloud
 from recast.actors.template.design import VehicleDesign, ordered

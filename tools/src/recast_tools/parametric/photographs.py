@@ -14,7 +14,7 @@ import cv2
 import numpy as np
 
 from recast.actors.parametric.codec import ParametricVehicle, VehicleLook
-from recast.actors.parametric.condition import ConditionImages, unwrapped
+from recast.actors.parametric.network import ConditionImages, unwrapped
 from recast.actors.template.body import TemplateBody, mirror, wheel
 from recast.actors.template.cloud import MIRROR, gradient, project
 from recast.actors.template.design import STYLES, sample_design, sample_size

@@ -11,9 +11,8 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from recast.actors.parametric.condition import SHAPES
 from recast.actors.parametric.model import MODEL_FILE, ParametricModel
-from recast.actors.parametric.network import ParametricNetwork
+from recast.actors.parametric.network import SHAPES, ParametricNetwork
 from recast.core.files import write_json
 from recast.training.loop import Processes, StepLoss, StepRandom, Watch, train
 from recast.training.state import TrainerSettings
