@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from recast.cameras import CameraMount, PinholeCamera
 from recast.core.errors import InputError
 from recast.dynamics import EgoState
+from recast.geometry import se2
 from recast.logs.types import DrivingLog
 from recast.planning import (
     ConstantVelocity,
@@ -157,6 +158,44 @@ def test_an_observation_is_read_only() -> None:
     with pytest.raises(ValueError, match="read-only"):
         observation.ego_history[:] = 0.0
     assert sim.state.ego.x == pytest.approx(0.0, abs=1e-9)
+
+
+def test_only_who_foresees_is_told_what_comes() -> None:
+    """As it comes: of a script to its end, of a label to its end, of an actor that reacts not."""
+    sim = simulator(keep_other_actors=True)
+    sim.step(straight(6.0))
+    target, other = sim.observe(foretold=True).actors
+    assert target.future is not None and other.future is not None
+    now, path = sim.state.timestamp_us, drive().tracks["9"].trajectory
+    times = np.arange(now, path.timestamps_us[-1] + 1, 100_000)
+    np.testing.assert_allclose(other.future, se2.from_se3(path.at(times)), atol=1e-9)
+    assert all(one.future is None for one in sim.observe().actors)
+    while not sim.done:
+        sim.step(straight(6.0))
+    np.testing.assert_array_equal(target.future, sim.rollout.actor[5:, :3])
+    reacting = simulator(name="idm-a").observe(foretold=True).actors
+    assert [one.future for one in reacting] == [None]
+
+
+class Sees(ConstantVelocity):
+    """Notes whether it is told what comes."""
+
+    name = "sees"
+
+    def __init__(self, foresees: bool) -> None:
+        super().__init__()
+        self.foresees, self.told = foresees, set[bool]()
+
+    def plan(self, observation: PlannerInput) -> Plan:
+        self.told.add(observation.actors[0].future is not None)
+        return super().plan(observation)
+
+
+@pytest.mark.parametrize("foresees", [False, True])
+def test_a_rollout_tells_a_planner_what_it_asks_for(foresees: bool) -> None:
+    planner = Sees(foresees)
+    run_rollout(make_setup(drive(), RolloutSettings(steps=20), {"7": "cut-in-a"}), planner)
+    assert planner.told == {foresees}
 
 
 def test_reset_begins_anew_with_the_same_bytes(tmp_path: Path) -> None:

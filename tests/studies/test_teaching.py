@@ -70,6 +70,22 @@ def test_it_learns_what_the_expert_does(tmp_path: Path) -> None:
     assert not any(one.failed for part in made for one in part)
 
 
+def test_only_the_expert_is_told_what_comes(tmp_path: Path) -> None:
+    told: dict[str, list[bool]] = {"planner": [], "expert": []}
+
+    class Listening(Straight):
+        def __init__(self, who: str) -> None:
+            super().__init__()
+            self.foresees, self.told = who == "expert", told[who]
+
+        def plan(self, observation: PlannerInput) -> Plan:
+            self.told.append(observation.actors[0].future is not None)
+            return super().plan(observation)
+
+    collect_samples(Listening("planner"), [simulator], tmp_path, expert=Listening("expert"))
+    assert told == {"planner": [False, False], "expert": [True, True]}
+
+
 def test_a_sample_says_what_was_seen_and_what_both_would_do(tmp_path: Path) -> None:
     planner = Straight()
     collect_samples(planner, [simulator], tmp_path, expert="idm-follower", expert_drives=1.0)

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import shapely
 
+from recast.planning.gtrs.expert import FORESEEN, TargetObstacle, TargetRoad
 from recast.planning.map import PlannerLane, PlannerMap
 from recast.planning.pdm import Centreline
-from recast_tools.planner_training.targets import FORESEEN, TargetObstacle, TargetRoad
 
 
 def straight_road(speed: float = 10.0) -> TargetRoad:

@@ -277,6 +277,8 @@ class ActorState:
         velocity: (2,) m/s, world; need not point along the heading.
         category: category as in `Track.category`.
         size: (3,) length, width, height in metres.
+        future: (F, 3) poses of the box centre from now on, `dt` apart, world: where it truly will
+            be. None wherever that is not told; see `BasePlanner.foresees`.
     """
 
     track_id: str
@@ -284,6 +286,7 @@ class ActorState:
     pose: Array
     velocity: Array
     size: Array
+    future: Array | None = None
 
     def seen_from(self, pose: Array) -> Array:
         """(8,) see `ACTOR_COLUMNS`, for an ego at a pose (3,)."""
@@ -398,6 +401,8 @@ class BasePlanner(BasePart):
             states themselves: the tracker's error would make them another drive.
         shared: whether one program behind it serves all processes, so that no two of them may use
             it at once.
+        foresees: whether it is told `ActorState.future`, as an expert that labels what others shall
+            learn; no planner to be tested.
     """
 
     name: str
@@ -407,6 +412,7 @@ class BasePlanner(BasePart):
     device: str | None = None
     replays_log: bool = False
     shared: bool = False
+    foresees: bool = False
 
     @property
     def record_fields(self) -> Mapping[str, str | float]:

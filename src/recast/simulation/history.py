@@ -110,12 +110,17 @@ class History:
         """Ego states (H, 11) of up to 2 s, oldest first, the present one last."""
         return np.array([*self._logged, *self.ego][-_shown(self._setup.dt) - 1 :])
 
-    def road_users(self) -> tuple[ActorState, ...]:
-        """All road users but the ego now: controlled ones, the target first, then logged ones."""
-        controlled = (self._as_road_user(track_id) for track_id in self._actors)
+    def road_users(self, foretold: bool = False) -> tuple[ActorState, ...]:
+        """All road users but the ego now: controlled ones, the target first, then logged ones.
+
+        Args:
+            foretold: fill `ActorState.future`: to the end of the rollout where an actor is
+                scripted, of its label where it is logged; None where it reacts.
+        """
+        controlled = (self._as_road_user(track_id, foretold) for track_id in self._actors)
         setup = self._setup
         others = (setup.log.tracks[key] for key in _other_ids(setup))
-        logged = logged_road_users(others, self.timestamp_us(self.step), setup.dt)
+        logged = logged_road_users(others, self.timestamp_us(self.step), setup.dt, foretold)
         return (*controlled, *logged)
 
     def state(self, step: int) -> SimState:
@@ -217,16 +222,20 @@ class History:
         left = setup.start_left
         return [ego.moved_left(state, left) for state in past] if left else past
 
-    def _as_road_user(self, track_id: str) -> ActorState:
+    def _as_road_user(self, track_id: str, foretold: bool) -> ActorState:
         first = max(self.step - 1, 0)
         around = np.array(self._states[track_id][first : self.step + 2])
-        track = self._actors[track_id].track
+        actor = self._actors[track_id]
+        track, future = actor.track, None
+        if foretold and not actor.reacts:
+            future = np.array(self._states[track_id][self.step :])[:, :3]
         return ActorState(
             track_id=track_id,
             category=track.category,
             pose=around[self.step - first, :3],
             velocity=ground_velocities(around)[self.step - first],
             size=track.size,
+            future=future,
         )
 
 
@@ -245,13 +254,23 @@ def other_poses(setup: RolloutSetup, timestamp_us: int) -> dict[str, Array]:
 
 
 def logged_road_users(
-    tracks: Iterable[Track], timestamp_us: int, dt: float
+    tracks: Iterable[Track], timestamp_us: int, dt: float, foretold: bool = False
 ) -> tuple[ActorState, ...]:
     """What a planner sees of the tracks that are labelled at a time.
 
     Velocities are differences over one step of `dt` seconds to each side.
+
+    Args:
+        foretold: fill `ActorState.future`, to the end of the label.
     """
     step = round(dt * 1e6)
+
+    def future(path: Trajectory) -> Array | None:
+        if not foretold:
+            return None
+        times = range(timestamp_us, int(path.timestamps_us[-1]) + 1, step)
+        return np.array([se2.from_se3(path.at(time)) for time in times])
+
     return tuple(
         ActorState(
             track.track_id,
@@ -259,6 +278,7 @@ def logged_road_users(
             se2.from_se3(track.trajectory.at(timestamp_us)),
             logged_velocity(track.trajectory, timestamp_us, step),
             track.size,
+            future(track.trajectory),
         )
         for track in tracks
         if track.trajectory.covers(timestamp_us)

@@ -80,7 +80,7 @@ def run_rollout(
             first = simulator.step_number
             images = simulator.render(seen)
             masked = {name: mount.masked(images[name]) for name, mount in shown.items()}
-            observation = simulator.observe(masked)
+            observation = simulator.observe(masked, foretold=planner.foresees)
             plan, took = calls.timed_plan(observation, setup.plan_limit_s)
             timings.plan += took
             simulator.warn_of_reach(plan)

@@ -290,11 +290,14 @@ class Simulator:
         self.advance(plan)
         return self.observe()
 
-    def observe(self, images: Mapping[str, Image] | None = None) -> Observation:
+    def observe(
+        self, images: Mapping[str, Image] | None = None, *, foretold: bool = False
+    ) -> Observation:
         """What a planner sees now, read-only.
 
         Args:
             images: images of the cameras; None to render them.
+            foretold: tell where the others will be, see `ActorState.future`.
         """
         history, now = self._history, self._history.ego[-1]
         observation = PlannerInput(
@@ -302,7 +305,7 @@ class Simulator:
             timestamp_us=history.timestamp_us(history.step),
             ego=EgoState(now),
             ego_history=history.ego_history(),
-            actors=history.road_users(),
+            actors=history.road_users(foretold),
             command=self._start.route.command(now, history.route_s[-1]),
             images=self.render(self._cameras) if images is None else images,
             route_s=history.route_s[-1],

@@ -92,7 +92,7 @@ def collect_samples(
     episodes: Sequence[Episode],
     out: str | Path,
     *,
-    expert: str | Planner = "pdm-closed",
+    expert: str | Planner = "expert",
     expert_drives: float = 0.0,
     seed: int = 0,
     progress: Progress | None = None,
@@ -105,7 +105,8 @@ def collect_samples(
     Args:
         episodes: rollouts; their arms, logs and motions are what the samples show. They are made
             one after the other.
-        expert: who labels: a planner that reads boxes and map, or its name.
+        expert: who labels: a planner that reads boxes and map, or its name. It is told where the
+            others will be if it `foresees`, as the default one does.
         expert_drives: share of the episodes that the expert drives, such as 1 as long as the
             planner knows nothing.
         seed: seed of who drives which episode, and of the rollouts.
@@ -186,7 +187,8 @@ class _Collector:
     ) -> Plan:
         plan = planner.timed_plan(seen, None)[0]
         try:
-            label = expert.timed_plan(seen, None)[0]
+            told = simulator.observe(seen.images, foretold=self.expert.foresees)
+            label = expert.timed_plan(told, None)[0]
         except Exception:
             self.unlabelled += 1
             return plan
@@ -304,7 +306,7 @@ def train_in_the_loop(
     out: str | Path,
     *,
     rounds: int = 3,
-    expert: str | Planner = "pdm-closed",
+    expert: str | Planner = "expert",
     progress: Progress | None = None,
 ) -> list[list[CollectedRollout]]:
     """Rounds of driving and learning; the samples of all rounds so far are learnt from.

@@ -106,7 +106,9 @@ def test_full_width_against_reference(
     stages = full_width.backbone.stages(torch.from_numpy(pixels.astype(np.float32)))
     torch.testing.assert_close(stages[2][:, ::16], expected["mid.stage4_s"], rtol=1e-4, atol=1e-4)
     torch.testing.assert_close(stages[3], expected["mid.stage5"], rtol=1e-4, atol=1e-4)
-    logits = full_width.score(stages[3], expected["in.status"], released_vocabulary[::32])
+    logits = full_width.score(
+        full_width.look(stages[3]), expected["in.status"], released_vocabulary[::32]
+    )
     for name in HEADS:
         torch.testing.assert_close(logits[name], expected[f"logit.{name}"], rtol=1e-4, atol=1e-4)
     scores = final_score(logits)

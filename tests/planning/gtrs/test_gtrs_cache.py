@@ -16,7 +16,9 @@ from support.tiny_gtrs import TINY, fan
 def _scores(model: GtrsModel, vocabulary: Tensor) -> dict[str, Tensor]:
     dtype, generator = vocabulary.dtype, torch.Generator().manual_seed(5)
     features = torch.randn(2, 24, 2, 4, generator=generator, dtype=dtype)
-    return model.score(features, torch.randn(2, 8, generator=generator, dtype=dtype), vocabulary)
+    return model.score(
+        model.look(features), torch.randn(2, 8, generator=generator, dtype=dtype), vocabulary
+    )
 
 
 class Counting:

@@ -10,18 +10,18 @@ from recast.geometry import boxes
 from recast.geometry.boxes import bev_touching
 from recast.planning import DrivingCommand
 from recast.planning.gtrs import PRIMITIVES
-from recast.planning.pdm import AgentKind, Forecast
-from recast.planning.pdm.forecast import box_corners
-from recast.planning.pdm.scorer import EgoAreas, at_fault_collisions, time_to_collision
-from recast.planning.types import ego_status
-from recast_tools.planner_training.evaluate import true_scores
-from recast_tools.planner_training.targets import (
+from recast.planning.gtrs.expert import (
     FORESEEN,
     TargetObstacle,
     collisions,
     score_trajectories,
     steady_best,
 )
+from recast.planning.pdm import AgentKind, Forecast
+from recast.planning.pdm.forecast import box_corners
+from recast.planning.pdm.scorer import EgoAreas, at_fault_collisions, time_to_collision
+from recast.planning.types import ego_status
+from recast_tools.planner_training.evaluate import true_scores
 from support.target_roads import moving, straight_road
 
 

@@ -52,7 +52,9 @@ def test_every_step_of_the_head(
 def test_logits_scores_and_choice(
     tiny_model: GtrsModel, tiny_vocabulary: Tensor, tiny_io: Vectors, chosen: Vectors
 ) -> None:
-    logits = tiny_model.score(tiny_io["in.feature_map"], tiny_io["in.status"], tiny_vocabulary)
+    logits = tiny_model.score(
+        tiny_model.look(tiny_io["in.feature_map"]), tiny_io["in.status"], tiny_vocabulary
+    )
     assert sorted(logits) == sorted(HEADS)
     for name in HEADS:
         close(logits[name], tiny_io[f"logit.{name}"])
@@ -69,7 +71,9 @@ def test_combined_mode(
 ) -> None:
     proposals = tiny_io["in.dp_proposals"]
     both = combined_trajectories(tiny_vocabulary, proposals)
-    logits = tiny_model.score(tiny_io["in.feature_map"], tiny_io["in.status"], both)
+    logits = tiny_model.score(
+        tiny_model.look(tiny_io["in.feature_map"]), tiny_io["in.status"], both
+    )
     for name, expected in tiny_io.items():
         if name.startswith("dp.logit."):
             close(logits[name.removeprefix("dp.logit.")], expected)
@@ -82,7 +86,7 @@ def test_combined_mode(
 @torch.no_grad()
 def test_scores_of_made_up_arcs(tiny_model: GtrsModel, tiny_io: Vectors) -> None:
     # Computed here, by what agreed with the reference: for those who lack its vocabulary.
-    inputs = tiny_io["in.feature_map"], tiny_io["in.status"]
+    inputs = tiny_model.look(tiny_io["in.feature_map"]), tiny_io["in.status"]
     scores = final_score(tiny_model.score(*inputs, torch.from_numpy(fan(12))))
     expected = [
         [8.169912, 7.722806, 8.457492, 8.134270],
@@ -98,7 +102,7 @@ def test_shared_vocabulary_equals_one_for_each_sample(
     tiny_model: GtrsModel, tiny_io: Vectors
 ) -> None:
     vocabulary = torch.from_numpy(fan(16))
-    inputs = tiny_io["in.feature_map"], tiny_io["in.status"]
+    inputs = tiny_model.look(tiny_io["in.feature_map"]), tiny_io["in.status"]
     plain = tiny_model.score(*inputs, vocabulary.expand(3, -1, -1, -1))
     for _ in range(2):  # computed, then from the cache
         fast = tiny_model.score(*inputs, vocabulary)
@@ -109,7 +113,7 @@ def test_shared_vocabulary_equals_one_for_each_sample(
 @torch.no_grad()
 def test_order_of_the_vocabulary_does_not_matter(tiny_model: GtrsModel, tiny_io: Vectors) -> None:
     vocabulary = torch.from_numpy(fan(16))
-    inputs = tiny_io["in.feature_map"], tiny_io["in.status"]
+    inputs = tiny_model.look(tiny_io["in.feature_map"]), tiny_io["in.status"]
     shuffled = torch.randperm(16, generator=torch.Generator().manual_seed(0))
     scores = final_score(tiny_model.score(*inputs, vocabulary))
     other = final_score(tiny_model.score(*inputs, vocabulary[shuffled]))
@@ -120,15 +124,15 @@ def test_comfort_joins_the_weighted_sum() -> None:
     generator = torch.Generator().manual_seed(0)
     logits = {head: torch.randn(2, 4, generator=generator) for head in HEADS}
     weights = VOCABULARY_ONLY.model_copy(update={"comfort": 3.0})
-    comfortable = torch.tensor([True, False, True, False])
-    gain = final_score(logits, weights, comfortable) - final_score(logits)
+    calm = torch.tensor([True, False, True, False])
+    gain = final_score(logits, weights, calm) - final_score(logits)
     p = {head: value.double().sigmoid() for head, value in logits.items()}
     base = (
         weights.time_to_collision * p["time_to_collision_within_bound"]
         + weights.progress * p["ego_progress"]
         + weights.lane_keeping * p["lane_keeping"]
     )
-    wanted = weights.average * torch.log((base + 3.0 * comfortable) / base)
+    wanted = weights.average * torch.log((base + 3.0 * calm) / base)
     # Scores of about 10 in float32, a dozen operations each.
     torch.testing.assert_close(gain.double(), wanted, rtol=0, atol=12 * 2 * 16 * 2.0**-24)
     with pytest.raises(ValueError, match="comfort"):

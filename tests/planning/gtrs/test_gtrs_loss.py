@@ -30,7 +30,9 @@ def _targets(tiny_io: Vectors) -> Vectors:
 def test_loss_and_gradients(
     tiny_model: GtrsModel, tiny_vocabulary: Tensor, tiny_io: Vectors
 ) -> None:
-    logits = tiny_model.score(tiny_io["in.feature_map"], tiny_io["in.status"], tiny_vocabulary)
+    logits = tiny_model.score(
+        tiny_model.look(tiny_io["in.feature_map"]), tiny_io["in.status"], tiny_vocabulary
+    )
     torch.testing.assert_close(logits["imi"], tiny_io["train.logit.imi"], rtol=1e-5, atol=1e-5)
     terms = training_loss(
         logits, _targets(tiny_io), tiny_vocabulary, tiny_io["train.target_trajectory"]

@@ -11,8 +11,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from recast.core.errors import InputError
+from recast.dynamics import make_state, plan_to_poses, track
+from recast.dynamics import state as ego
 from recast.dynamics.tracker import comfortable_plans
-from recast.planning import PlannerInput
+from recast.metrics.driving import com_driven
+from recast.planning import DrivingCommand, PlannerInput
 from recast.planning.gtrs import GtrsPlanner, load_gtrs, save_gtrs
 from recast.planning.gtrs.config import (
     PRIMITIVES,
@@ -20,7 +23,8 @@ from recast.planning.gtrs.config import (
     Pace,
     PrimitivePath,
 )
-from recast.planning.gtrs.scores import VOCABULARY_ONLY
+from recast.planning.gtrs.scores import VOCABULARY_ONLY, comfortable
+from recast.planning.types import ego_status
 
 SPEEDS = st.floats(0.0, 16.0)
 RATES = st.floats(-4.0, 2.0)
@@ -132,3 +136,46 @@ def test_paths_without_a_mirror_image_and_nothing_to_combine_are_refused() -> No
         MotionPrimitives(
             paces=(Pace(acceleration=0.0),), paths=(path.model_copy(update={"main": False}),)
         )
+
+
+def test_smoothly_begun_plans_are_driven_comfortably() -> None:
+    """What the tracker makes of them, against what is told from the plan and the state alone."""
+    rng = np.random.default_rng(0)
+    told, driven = [], []
+    for _ in range(12):
+        speed = rng.uniform(2.0, 15.0)
+        rate = float(np.clip(rng.normal(0.0, 1.2), -3.5, 1.8))
+        state = make_state(np.zeros(3), speed, rate, speed * rng.normal(0.0, 0.01))
+        now = ego_status(DrivingCommand.STRAIGHT, state)
+        plans = PRIMITIVES.trajectories(now[None])[0]
+        start = np.broadcast_to(state, (len(plans), ego.SIZE))
+        states = track(start, plan_to_poses(start[:, ego.POSE], plans.astype(np.float64)), 40)
+        told.append(comfortable(plans, now))
+        driven.append([com_driven(one).com.value == 1.0 for one in states])
+    agree = np.concatenate(told) == np.concatenate(driven)
+    assert agree.mean() > 0.85
+    assert 0.3 < np.mean(np.concatenate(told)) < 0.8
+
+
+@pytest.mark.parametrize("speed", [8.0, 13.0])
+def test_hard_braking_can_be_driven_comfortably(speed: float) -> None:
+    """With a new plan every half second, from steady driving to a standstill."""
+
+    def followed(pace: int) -> np.ndarray:
+        (row,) = np.flatnonzero((PRIMITIVES.entries == (pace, 0)).all(axis=1))
+        states = [make_state(np.zeros(3), speed)]
+        for _ in range(12):
+            now = ego_status(DrivingCommand.STRAIGHT, states[-1])
+            plan = PRIMITIVES.trajectories(now[None])[0, row].astype(np.float64)
+            states.extend(track(states[-1], plan_to_poses(states[-1][ego.POSE], plan), 5)[1:])
+        return np.array(states)
+
+    hard = [i for i, one in enumerate(PRIMITIVES.paces) if one.acceleration == -4.0]
+    at_once, gently = (
+        next(followed(i) for i in hard if (PRIMITIVES.paces[i].jerk is None) is usual)
+        for usual in (True, False)
+    )
+    assert com_driven(at_once).com.value == 0.0
+    assert com_driven(gently).com.value == 1.0
+    longer = gently[-1, ego.X] - at_once[-1, ego.X]
+    assert 0.0 < longer < 0.7 * speed

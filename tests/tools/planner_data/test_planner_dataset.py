@@ -16,6 +16,7 @@ from recast.core import open_store
 from recast.core.errors import InputError
 from recast.dynamics import PACIFICA
 from recast.planning.gtrs import PRIMITIVES
+from recast.planning.gtrs.expert import score_trajectories, touched
 from recast.planning.types import ego_status
 from recast.synthetic import make_world
 from recast.weights import shipped_folder
@@ -30,7 +31,6 @@ from recast_tools.planner_training.samples import (
     SampleStore,
     world_folder,
 )
-from recast_tools.planner_training.targets import score_trajectories, touched
 
 pytest.importorskip("embreex")
 

@@ -11,16 +11,18 @@ from recast.core.files import write_json
 from recast.dynamics import make_state
 from recast.planning import DrivingCommand
 from recast.planning.gtrs import PRIMITIVES
+from recast.planning.gtrs.expert import score_trajectories
 from recast.planning.types import ego_status
 from recast_tools.planner_training.samples import (
     CLUES,
+    COLUMNS,
     RECORD_FILE,
     DatasetRecord,
     Sample,
     world_folder,
     write_world,
 )
-from recast_tools.planner_training.targets import score_trajectories
+from recast_tools.planner_training.targets import COLUMN_VALUES
 from support.target_roads import moving, straight_road
 
 
@@ -39,7 +41,9 @@ def small_dataset(tmp_path_factory: pytest.TempPathFactory) -> Path:
         for present in (True, False):
             image = rng.integers(100, 120, (128, 512, 3)).astype(np.uint8)
             clues = np.zeros(len(CLUES), np.float32)
+            columns = np.zeros((COLUMNS, len(COLUMN_VALUES)), np.float32)
             if present:
+                columns[15:17] = 1, np.log(gap), 1, 0, -states[0][3], 0
                 image[60:90, 240:270] = 200, 20, 20
                 clues[:5] = 1, gap, 0, 1, 0
             status = np.stack([ego_status(DrivingCommand.STRAIGHT, state) for state in states])
@@ -49,6 +53,6 @@ def small_dataset(tmp_path_factory: pytest.TempPathFactory) -> Path:
             ]
             scores = np.stack([one.scores for one in found])
             best = np.array([one.best for one in found], np.int32)
-            samples.append(Sample(image, status, scores, best, clues))
+            samples.append(Sample(image, status, scores, best, clues, columns))
         write_world(world_folder(folder, number), samples, [1, 0], [-1, -1], PRIMITIVES)
     return folder

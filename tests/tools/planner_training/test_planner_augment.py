@@ -4,11 +4,14 @@ from recast.planning import DrivingCommand
 from recast.planning.types import ego_status
 from recast_tools.planner_training.samples import (
     CLUES,
+    COLUMNS,
     augment,
     mirror_clues,
+    mirror_columns,
     mirror_image,
     mirror_status,
 )
+from recast_tools.planner_training.targets import COLUMN_VALUES
 
 
 def picture() -> np.ndarray:
@@ -40,6 +43,8 @@ def test_mirrored_twice_is_as_before() -> None:
     np.testing.assert_array_equal(mirror_image(mirror_image(image)), image)
     np.testing.assert_array_equal(mirror_status(mirror_status(status)), status)
     np.testing.assert_allclose(mirror_clues(mirror_clues(clues)), clues, atol=1e-6)
+    columns = rng.normal(size=(COLUMNS, len(COLUMN_VALUES))).astype(np.float32)
+    np.testing.assert_array_equal(mirror_columns(mirror_columns(columns)), columns)
 
 
 def test_a_left_turn_becomes_a_right_turn() -> None:

@@ -174,9 +174,9 @@ def test_a_batch_holds_every_speed_of_a_picture(small_dataset: Path) -> None:
     straight = task.gather(chosen[1:], np.arange(2), np.array([False]))
     name = "no_at_fault_collisions"
     torch.testing.assert_close(both.targets[name][2:], straight.targets[name][:, twice[scored]])
-    features = model.backbone(both.images)
-    logits = task.logits(features, both)
-    one = model.score(features[1:], both.status[3:], both.trajectories[3:])
+    tokens = task.look(both)
+    logits = task.logits(tokens, both)
+    one = model.score(tokens[1:], both.status[3:], both.trajectories[3:])
     torch.testing.assert_close(logits[name][3:], one[name])
 
 

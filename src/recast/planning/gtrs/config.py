@@ -231,12 +231,14 @@ class Pace(Record):
 
     Attributes:
         everywhere: combined with every path; else with the main ones alone.
+        jerk: m/s^3 with which the acceleration changes; None for the usual one.
     """
 
     acceleration: float = Field(ge=-10.0, le=5.0)
     begins: float = Field(default=0.0, ge=0.0, le=4.0)
     ends: float = Field(default=4.0, ge=0.0, le=4.0)
     everywhere: bool = False
+    jerk: float | None = Field(default=None, gt=0.0, le=20.0)
 
 
 class PrimitivePath(Record):
@@ -343,7 +345,8 @@ class MotionPrimitives(Record):
         """Metres (K, P, 41) driven from speeds (K,) and accelerations (K,)."""
         wanted = np.array([one.acceleration for one in self.paces])
         begins, ends = np.array([(one.begins, one.ends) for one in self.paces]).T
-        jerk = np.where(wanted < _HARD, _JERKS[1], _JERKS[0]) * _DT
+        usual = np.where(wanted < _HARD, _JERKS[1], _JERKS[0])
+        jerk = _DT * np.array([one.jerk or usual[i] for i, one in enumerate(self.paces)])
         now = np.repeat(rate[:, None], len(wanted), axis=1)
         speeds = [np.repeat(speed[:, None], len(wanted), axis=1)]
         for step in range(WAYPOINTS):
@@ -367,6 +370,9 @@ _SHARPEST, _SIDEWAYS = 0.18, 5.0
 _HARD, _JERKS, _ENDING = -2.3, (3.5, 7.0), 0.45
 """m/s^2 below which a pace brakes hard, the jerk, m/s^3, of the others and of these (the metric
 COM allows 8.37), and the share of it with which braking ends."""
+_FOLLOWED = 2.2
+"""m/s^3 with which hard braking begins where there is time: followed by the tracker, with a new
+plan every 0.5 s, it becomes 4 m/s^3, within nuPlan's limit on the driven path."""
 
 
 def _headings(path: PrimitivePath, s: Array, speed: Array, bend: Array, reach: Array) -> Array:
@@ -395,6 +401,7 @@ def _standard_primitives() -> MotionPrimitives:
     late = ((-4.0, 1.2, 4.0), (-2.2, 1.2, 4.0), (-1.1, 1.2, 4.0))
     paces = [Pace(acceleration=a, everywhere=a in everywhere) for a in held]
     paces += [Pace(acceleration=a, begins=b, ends=e) for a, b, e in (*parts, *late)]
+    paces += [Pace(acceleration=a, jerk=_FOLLOWED) for a in (-3.0, -4.0)]
     paths = [
         PrimitivePath(kind="bend", main=True),
         PrimitivePath(kind="straight", main=True),

@@ -261,10 +261,8 @@ STATUS_VALUES = 8
 
 
 class PositionEmbedding(nn.Module):
-    """One learned vector for each image token.
-
-    Not an `nn.Embedding`: on the meta device its initial values make PyTorch import a computer
-    algebra system, which takes longer than all the rest of loading a small model.
+    """One learned vector for each token. Not an `nn.Embedding`: on the meta device that imports a
+    computer algebra system, which takes longer than all the rest of loading.
     """
 
     def __init__(self, tokens: int, channels: int) -> None:
@@ -274,6 +272,39 @@ class PositionEmbedding(nn.Module):
     def forward(self, tokens: Tensor) -> Tensor:
         """(B, T, d) with the vectors added."""
         return tokens + self.weight
+
+
+class ColumnTokens(nn.Module):
+    """One token for each column of image tokens: what stands in that direction, now and earlier.
+
+    How things move is in the difference between two images, which here lie beside each other.
+    """
+
+    def __init__(self, config: GtrsConfig) -> None:
+        super().__init__()
+        d, self._rows = config.channels, config.token_rows
+        self.weigh = nn.Linear(d, 2)
+        self.mix = nn.Sequential(
+            nn.Conv1d(4 * d, d, 5, padding=2), nn.ReLU(), nn.Conv1d(d, d, 3, padding=1)
+        )
+        self.place = PositionEmbedding(config.token_columns, d)
+        self.unknown = PositionEmbedding(config.token_columns, 2 * d)
+
+    def forward(self, now: Tensor, earlier: Tensor | None, known: Tensor | None) -> Tensor:
+        """Tokens (B, T, d) of two images, row by row, to (B, W, d); see `GtrsModel.look`."""
+        seen = self._pooled(now)
+        before = self.unknown(torch.zeros_like(seen))
+        if earlier is not None:
+            known = now.new_ones(len(now), dtype=torch.bool) if known is None else known
+            before = torch.where(known[:, None, None], self._pooled(earlier), before)
+        mixed: Tensor = self.mix(torch.cat([seen, before], dim=-1).transpose(1, 2))
+        return self.place(mixed.transpose(1, 2))
+
+    def _pooled(self, tokens: Tensor) -> Tensor:
+        """(B, T, d) to (B, W, 2 d): two weighted means over the rows of each column."""
+        rows = tokens.unflatten(1, (self._rows, -1))
+        weights = self.weigh(rows).softmax(dim=1)
+        return torch.einsum("brcq,brcd->bcqd", weights, rows).flatten(2)
 
 
 class GtrsModel(nn.Module):
@@ -293,10 +324,7 @@ class GtrsModel(nn.Module):
         self.downscale_layer = nn.Conv2d(config.backbone.out_channels, config.channels, 1)
         self._status_encoding = nn.Linear(STATUS_VALUES, config.channels)
         self._trajectory_head = TrajectoryHead(config)
-        if config.history is not None:
-            # Added to the tokens of the earlier image, and what stands in their place without one.
-            self._earlier_embedding = PositionEmbedding(1, config.channels)
-            self._unknown_embedding = PositionEmbedding(1, config.channels)
+        self._columns = None if config.history is None else ColumnTokens(config)
 
     @property
     def backbone(self) -> VovNet:
@@ -326,31 +354,27 @@ class GtrsModel(nn.Module):
         """Ego status (B, 8), see `ego_status`, to (B, d)."""
         return self._status_encoding(status)
 
-    def score(
-        self,
-        features: Tensor,
-        status: Tensor,
-        trajectories: Tensor,
-        earlier: Tensor | None = None,
-        known: Tensor | None = None,
-    ) -> dict[str, Tensor]:
-        """Logits from backbone features (B, C, h, w); otherwise as `forward`.
+    def look(
+        self, features: Tensor, earlier: Tensor | None = None, known: Tensor | None = None
+    ) -> Tensor:
+        """What trajectories are scored against, (B, T, d): the image's tokens, and, for a model
+        with a history, those of its columns.
 
         Args:
-            earlier: features (B, C, h, w) of the earlier images.
+            features: backbone features (B, C, h, w).
+            earlier: those of the earlier images.
             known: (B,) bool, which of them there are; all if None.
         """
+        tokens = self.image_tokens(features)
+        if self._columns is None:
+            return tokens
+        before = None if earlier is None else self.image_tokens(earlier)
+        return torch.cat([tokens, self._columns(tokens, before, known)], dim=1)
+
+    def score(self, tokens: Tensor, status: Tensor, trajectories: Tensor) -> dict[str, Tensor]:
+        """Logits from the tokens of `look`; otherwise as `forward`."""
         if trajectories.ndim == 3:
             trajectories = trajectories[None]
-        tokens = self.image_tokens(features)
-        if self.config.history is not None:
-            before = self._unknown_embedding.weight.expand_as(tokens)
-            if earlier is not None:
-                there = self._earlier_embedding(self.image_tokens(earlier))
-                before = (
-                    there if known is None else torch.where(known[:, None, None], there, before)
-                )
-            tokens = torch.cat([tokens, before], dim=1)
         return self._trajectory_head(trajectories, tokens, self.encode_status(status))
 
     def forward(
@@ -361,7 +385,7 @@ class GtrsModel(nn.Module):
         earlier: Tensor | None = None,
         known: Tensor | None = None,
     ) -> dict[str, Tensor]:
-        """Logits of every head for every trajectory.
+        """Logits of every head for every trajectory; arguments beside these as of `look`.
 
         Args:
             images: (B, 3, H, W) stitched, RGB in [0, 1].
@@ -370,13 +394,13 @@ class GtrsModel(nn.Module):
                 the rear axle in the present ego frame at 0.1 s .. 4 s.
             earlier: (B, 3, H, W) images `history` seconds earlier, for a model that looks at them;
                 None where there are none.
-            known: see `score`.
 
         Returns:
             head name to (B, L); see `final_score`.
         """
         before = None if earlier is None else self.backbone(earlier)
-        return self.score(self.backbone(images), status, trajectories, before, known)
+        tokens = self.look(self.backbone(images), before, known)
+        return self.score(tokens, status, trajectories)
 
     @torch.no_grad()
     def initialise(self, generator: torch.Generator) -> None:
@@ -389,7 +413,7 @@ class GtrsModel(nn.Module):
             generator: random generator on the model's device; source of all random numbers.
         """
         for module in self.modules():
-            if isinstance(module, nn.Conv2d):
+            if isinstance(module, nn.Conv1d | nn.Conv2d):
                 nn.init.kaiming_normal_(module.weight, nonlinearity="relu", generator=generator)
             elif isinstance(module, nn.Linear):
                 nn.init.xavier_uniform_(module.weight, generator=generator)
@@ -400,7 +424,7 @@ class GtrsModel(nn.Module):
                 nn.init.normal_(module.weight, std=0.02, generator=generator)
             elif isinstance(module, nn.BatchNorm2d | nn.LayerNorm):
                 module.reset_parameters()
-            if isinstance(module, nn.Conv2d | nn.Linear) and module.bias is not None:
+            if isinstance(module, nn.Conv1d | nn.Conv2d | nn.Linear) and module.bias is not None:
                 nn.init.zeros_(module.bias)
 
 

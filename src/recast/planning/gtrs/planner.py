@@ -26,7 +26,6 @@ from recast.core.errors import InputError
 from recast.core.files import atomic_folder, disk_errors, write_bytes, write_json
 from recast.core.records import Record, read_record
 from recast.core.torch_file import read_safetensors, read_torch_file, require_state
-from recast.dynamics.tracker import comfortable_plans
 from recast.planning.cameras import require_cameras
 from recast.planning.gtrs.config import (
     WAYMO_NATIVE,
@@ -42,6 +41,7 @@ from recast.planning.gtrs.scores import (
     ScoreWeights,
     Trajectories,
     check_vocabulary,
+    comfortable,
     final_score,
     read_vocabulary,
     write_vocabulary,
@@ -321,15 +321,14 @@ class GtrsPlanner(BasePlanner):
     ) -> GtrsDecision:
         device = self.model.device
         logits = self.model.score(
-            features,
+            self.model.look(features, earlier),
             torch.from_numpy(status)[None].to(device),
             torch.from_numpy(trajectories).to(device),
-            earlier,
         )
-        comfortable = None
+        calm = None
         if weights.comfort > 0:
-            comfortable = torch.from_numpy(comfortable_plans(trajectories)).to(device)
-        scores = final_score(logits, weights, comfortable)
+            calm = torch.from_numpy(comfortable(trajectories, status)).to(device)
+        scores = final_score(logits, weights, calm)
         sub_scores = {
             name: _numpy(value.softmax(-1) if name == IMITATION else value.sigmoid())
             for name, value in logits.items()

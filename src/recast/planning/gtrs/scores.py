@@ -9,15 +9,17 @@ from types import MappingProxyType
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from pydantic import NonNegativeFloat, PositiveFloat
 from torch import Tensor
 from torch.nn import functional
 
+from recast.arrays import BoolArray
 from recast.core.errors import InputError
 from recast.core.files import atomic_file
 from recast.core.records import Record
 from recast.core.table_files import read_npy
+from recast.dynamics.tracker import comfortable_plans
 from recast.planning.gtrs.model import IMITATION
 from recast.planning.types import WAYPOINTS
 
@@ -43,7 +45,7 @@ HALF_COUNTS_AS_ZERO = ("no_at_fault_collisions", "driving_direction_compliance")
 DEMONSTRATED = slice(4, 40, 5)
 """Indices of the eight waypoints, 0.5 s .. 4 s, that are compared with the human's."""
 
-_SOFTNESS = 0.5
+_SOFTNESS, _DT = 0.5, 0.1
 
 
 def read_vocabulary(path: str | Path) -> Trajectories:
@@ -102,8 +104,8 @@ class ScoreWeights(Record):
         no_collision, drivable_area, direction, traffic_light: weight of the log of each sub-score.
         average: weight of the log of the weighted sum of the three that follow.
         time_to_collision, progress, lane_keeping: weights within that sum.
-        comfort: weight, within that sum too, of trajectories that are comfortable as COM counts it;
-            0 in the released modes.
+        comfort: weight, within that sum too, of trajectories that are `comfortable`; 0 in the
+            released modes.
         blended: metres; what is driven is the mean of the trajectories that end nearer than this to
             the best, weighted by exp S. 0: the best itself, as in the released modes. Only for
             trajectories that begin alike, see `MotionPrimitives`: there the next best is so near
@@ -150,10 +152,33 @@ COMBINED = ScoreWeights(
 """Where external proposals are scored together with the vocabulary."""
 
 
+_SMOOTH, _FIRST = 1.5, 9
+"""m/s^2, and waypoint; see `comfortable`."""
+
+
+def comfortable(trajectories: ArrayLike, status: ArrayLike) -> BoolArray:
+    """Which trajectories (..., L, 40, 3) are comfortable to plan and to follow: (..., L).
+
+    As plans they pass the five checks of COM. Followed, what jolts is their beginning: a tracker
+    brings the ego at once to about the mean acceleration of the first second. Where that is 1.5
+    m/s^2 off the present one at most, at every plan 0.5 s apart, nuPlan's smoothed longitudinal
+    jerk stays within its 4.13 m/s^3; 0.9 of the trajectories are judged as `com_driven` judges what
+    the LQR tracker makes of them.
+
+    Args:
+        status: (..., 8), see `ego_status`.
+    """
+    plans, state = np.asarray(trajectories, np.float64), np.asarray(status, np.float64)
+    around = plans[..., _FIRST : _FIRST + 2, :2] - plans[..., _FIRST - 1 : _FIRST + 1, :2]
+    later = np.linalg.norm(around, axis=-1).mean(axis=-1) / _DT
+    change = later - state[..., None, 4] - _DT * (_FIRST + 1) * state[..., None, 6]
+    return comfortable_plans(plans) & (np.abs(change) <= _SMOOTH)
+
+
 def final_score(
     logits: Mapping[str, Tensor],
     weights: ScoreWeights = VOCABULARY_ONLY,
-    comfortable: Tensor | None = None,
+    calm: Tensor | None = None,
 ) -> Tensor:
     """Log score (B, L) of every trajectory; the highest is driven.
 
@@ -164,11 +189,10 @@ def final_score(
     Args:
         logits: head name to (B, L).
         weights: `VOCABULARY_ONLY`, or `COMBINED` where L includes external proposals.
-        comfortable: (L,) or (B, L) bool, C, see `recast.dynamics.tracker.comfortable_plans`; used
-            if `weights.comfort` is above 0.
+        calm: (L,) or (B, L) bool, C, see `comfortable`; used if `weights.comfort` is above 0.
 
     Raises:
-        ValueError: `weights.comfort` is above 0 and `comfortable` is not given.
+        ValueError: `weights.comfort` is above 0 and `calm` is not given.
     """
     multipliers = {
         "traffic_light_compliance": weights.traffic_light,
@@ -189,9 +213,9 @@ def final_score(
         functional.logsigmoid(logits[name]) + math.log(weight) for name, weight in averaged.items()
     ]
     if weights.comfort > 0:
-        if comfortable is None:
-            raise ValueError("final_score: weights with comfort need `comfortable`")
-        comfort = comfortable.to(terms[0]).log() + math.log(weights.comfort)
+        if calm is None:
+            raise ValueError("final_score: weights with comfort need `calm`")
+        comfort = calm.to(terms[0]).log() + math.log(weights.comfort)
         terms.append(comfort.expand_as(terms[0]))
     return score + weights.average * torch.logsumexp(torch.stack(terms), dim=0)
 

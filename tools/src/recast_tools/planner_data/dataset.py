@@ -5,13 +5,14 @@ from __future__ import annotations
 import os
 import shutil
 from collections.abc import Callable
-from functools import partial
+from dataclasses import replace
+from functools import cache, partial
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from recast.arrays import Image
+from recast.arrays import Array, Image
 from recast.core import Store, open_store
 from recast.core.diagnostics import Progress
 from recast.core.errors import InputError, require_range
@@ -20,11 +21,12 @@ from recast.core.records import read_record
 from recast.core.workers import worker_pool
 from recast.dynamics import state as ego
 from recast.geometry import se2
-from recast.planning.gtrs import MotionPrimitives, load_gtrs
+from recast.planning.gtrs import MotionPrimitives, ViewLayout, load_gtrs
+from recast.planning.gtrs.expert import TrajectoryTargets, score_trajectories
 from recast.planning.types import ego_status
 from recast.runs.run_folder import STORE_FOLDER
 from recast.synthetic import make_world
-from recast.synthetic.world import make_rig
+from recast.synthetic.world import RigCamera, make_rig
 from recast.synthetic.write import Oracle
 from recast_tools.planner_data.drive import SampleSituation, begin_drive
 from recast_tools.planner_data.reconstruction import (
@@ -35,6 +37,7 @@ from recast_tools.planner_data.reconstruction import (
 from recast_tools.planner_data.stage import SampleStage, make_stage
 from recast_tools.planner_training.samples import (
     CLUES,
+    COLUMNS,
     DRIVER_FOLDER,
     MEND,
     RECORD_FILE,
@@ -45,7 +48,7 @@ from recast_tools.planner_training.samples import (
     world_folder,
     write_world,
 )
-from recast_tools.planner_training.targets import TrajectoryTargets, score_trajectories
+from recast_tools.planner_training.targets import column_values
 from recast_tools.planner_training.task import HALF_VIEWS
 
 _LOOK_AHEAD = (10.0, 20.0, 30.0)
@@ -278,20 +281,37 @@ def render(paint: SamplePainter, stage: SampleStage, situation: SampleSituation)
         vehicle = stage.world.vehicles[other.token]
         poses[other.token] = stage.surface.actor_poses(other.poses[:1], vehicle.model.size)[0]
     world_from_rig = stage.surface.ego_poses(situation.states[0, ego.POSE])
-    layout = HALF_VIEWS
-    rig = make_rig(layout.width, layout.height, layout.cameras)
-    parts = []
-    for name in layout.cameras:
-        mounted = rig.cameras[name]
-        margin = 0 if name == layout.cameras[1] else layout.crop_columns
-        camera = mounted.camera.cropped(
-            margin,
-            layout.crop_rows,
-            layout.width - 2 * margin,
-            layout.height - 2 * layout.crop_rows,
-        )
-        parts.append(paint(name, camera, world_from_rig @ mounted.rig_from_camera, poses))
+    parts = [
+        paint(name, mounted.camera, world_from_rig @ mounted.rig_from_camera, poses)
+        for name, mounted in _kept(HALF_VIEWS).items()
+    ]
     return np.concatenate(parts, axis=1)
+
+
+@cache
+def _kept(layout: ViewLayout) -> dict[str, RigCamera]:
+    """The rig's cameras, cut to what a layout keeps of them."""
+    rig = make_rig(layout.width, layout.height, layout.cameras)
+    found = {}
+    for name in layout.cameras:
+        margin = 0 if name == layout.cameras[1] else layout.crop_columns
+        size = layout.width - 2 * margin, layout.height - 2 * layout.crop_rows
+        camera = rig.cameras[name].camera.cropped(margin, layout.crop_rows, *size)
+        found[name] = replace(rig.cameras[name], camera=camera)
+    return found
+
+
+@cache
+def column_directions(layout: ViewLayout, count: int) -> Array:
+    """Angles (count,) against straight on, left positive, of the columns of stitched pictures."""
+    found = []
+    for mounted in _kept(layout).values():
+        camera = mounted.camera
+        way = (
+            camera.rays(camera.pixel_grid()[camera.height // 2]) @ mounted.rig_from_camera[:3, :3].T
+        )
+        found.append(np.unwrap(np.arctan2(way[:, 1], way[:, 0])))
+    return np.concatenate(found).reshape(count, -1).mean(axis=1)
 
 
 def describe(
@@ -315,6 +335,9 @@ def describe(
         scores=np.stack([found.scores for found in targets]),
         best=np.array([found.best for found in targets], np.int32),
         clues=_clues(stage, situation),
+        columns=column_values(
+            situation.states[0], situation.obstacles, column_directions(HALF_VIEWS, COLUMNS)
+        ),
         renderer=renderer,
     )
     return sample, possible[0], targets[0]

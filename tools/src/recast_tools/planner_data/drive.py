@@ -12,25 +12,16 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from recast.arrays import Array
-from recast.core.errors import InputError
 from recast.dynamics import PACIFICA, make_state, plan_to_poses, track
 from recast.dynamics import state as ego
 from recast.geometry import se2
-from recast.planning import BasePlanner, DrivingCommand, Plan, PlannerInput, PlanningContext
-from recast.planning.gtrs import PRIMITIVES
+from recast.planning import DrivingCommand
+from recast.planning.gtrs.expert import FORESEEN, TargetObstacle, touched
 from recast.planning.pdm.forecast import box_corners
-from recast.planning.types import ego_status
 from recast.simulation import Advancing, CutIn, Oncoming, StartSituation, Stationary
 from recast.simulation.actor_motion import DEFAULT_LANE_OFFSET, ScriptMotion, neighbour_lateral
 from recast.synthetic import world
-from recast_tools.planner_data.stage import SampleStage, target_road
-from recast_tools.planner_training.targets import (
-    FORESEEN,
-    TargetObstacle,
-    TargetRoad,
-    score_trajectories,
-    touched,
-)
+from recast_tools.planner_data.stage import SampleStage
 
 MOMENTS = 8
 """Samples of a drive at most, a second apart."""
@@ -322,40 +313,3 @@ def _motion(kind: str, rng: np.random.Generator) -> ScriptMotion:
             duration=between(2.0, 4.0),
         )
     return Advancing("random", gap=between(3, 25), speed=between(0.4, 1.1))
-
-
-class Expert(BasePlanner):
-    """The driver that the samples come from, as a planner: the best trajectory by its true scores.
-
-    It sees boxes and foresees them at constant velocity, where the samples know what comes. With
-    it, the measure of driving tells how good what is learnt can be.
-    """
-
-    name = "expert"
-    needs_images = False
-
-    def __init__(self) -> None:
-        self._road: TargetRoad | None = None
-
-    def reset(self, context: PlanningContext) -> None:
-        """Raises InputError: the log has no map."""
-        if context.map is None:
-            raise InputError("planner expert", "map", "is missing", "use a log with a map")
-        self._road = target_road(context.route, context.map)
-
-    def plan(self, observation: PlannerInput) -> Plan:
-        """The best motion primitive."""
-        assert self._road is not None
-        later = _DT * np.arange(FORESEEN + 1)[:, None]
-        obstacles = [
-            TargetObstacle(
-                one.track_id,
-                one.pose + later * np.array([*one.velocity, 0.0]),
-                np.asarray(one.size, np.float64),
-            )
-            for one in observation.actors
-        ]
-        state = np.asarray(observation.ego)
-        possible = PRIMITIVES.trajectories(ego_status(observation.command, state)[None])[0]
-        found = score_trajectories(possible, state, self._road, obstacles)
-        return Plan(waypoints=possible[found.best].astype(np.float64))

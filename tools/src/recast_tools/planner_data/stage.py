@@ -8,21 +8,17 @@ import numpy as np
 
 from recast.arrays import Int64Array
 from recast.geometry import se2
-from recast.logs import DrivingLog, HdMap
+from recast.logs import DrivingLog
 from recast.planning import ReferenceRoute
-from recast.planning.map import planner_map, route_blocks
-from recast.planning.pdm import Centreline
+from recast.planning.gtrs.expert import FORESEEN, TargetObstacle, TargetRoad, target_road
 from recast.simulation import RoadSurface
 from recast.synthetic.populate import make_world
 from recast.synthetic.vehicles import sample_vehicle
 from recast.synthetic.world import Vehicle, World
-from recast_tools.planner_training.targets import FORESEEN, TargetObstacle, TargetRoad
 
 SECONDS = 16.0
 _ACTORS = 4
 _STREAM = 901
-_SLOWEST = 3.0
-"""m/s wanted where the log drove slower: it starts at a crawl in places."""
 
 
 @dataclass(frozen=True)
@@ -85,15 +81,3 @@ def stage_of(world: World, actors: tuple[str, ...]) -> SampleStage:
     road = target_road(route, world.street.map)
     surface = RoadSurface.from_log(world.ego, route, world.street.map.ground)
     return SampleStage(world, log, route, surface, road, actors)
-
-
-def target_road(route: ReferenceRoute, hd_map: HdMap) -> TargetRoad:
-    """Where a driver of a route shall go, at the speeds of its log."""
-    lanes = planner_map(hd_map)
-    places = np.linspace(0.0, route.length, int(2 * route.length) + 1)
-    return TargetRoad(
-        map=lanes,
-        lanes=lanes.lanes_of(route_blocks(lanes, route)),
-        middle=Centreline(route.pose(places)),
-        speeds=np.maximum(route.logged_speed(places), _SLOWEST),
-    )

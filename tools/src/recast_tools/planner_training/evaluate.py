@@ -14,8 +14,9 @@ from recast.core.errors import InputError
 from recast.core.images import draw_text
 from recast.dynamics.tracker import comfortable_plans
 from recast.planning.gtrs import ScoreWeights, final_score, training_loss
+from recast.planning.gtrs.expert import SCORED
 from recast_tools.planner_training.samples import SampleStore
-from recast_tools.planner_training.targets import SCORED, unpacked
+from recast_tools.planner_training.targets import unpacked
 from recast_tools.planner_training.task import GtrsTask, sum_of
 
 FIRST_SPEED = np.zeros(1, np.int64)
@@ -135,9 +136,9 @@ def _choose(
         images = [task.picture(index) for index in seen]
         known = task.store.before[seen] >= 0
         batch = task.gather(part, FIRST_SPEED, np.zeros(len(part), np.bool_), images, known)
-        logits = task.seen(batch)
+        logits = task.logits(task.look(batch), batch)
         terms = training_loss(logits, batch.targets, batch.trajectories, batch.demonstration)
-        scored = final_score(logits, weights, batch.comfortable)
+        scored = final_score(logits, weights, batch.calm)
         best = scored.argmax(dim=1)
         chosen.append(best.numpy())
         driven.append(batch.trajectories[torch.arange(len(best)), best].numpy())
@@ -162,9 +163,9 @@ def decision_sheet(task: GtrsTask, indices: NDArray[np.int64], weights: ScoreWei
     was_training = task.model.training
     task.model.eval()
     batch = task.gather(indices, FIRST_SPEED, np.zeros(len(indices), np.bool_))
-    logits = task.seen(batch)
+    logits = task.logits(task.look(batch), batch)
     task.model.train(was_training)
-    chosen = final_score(logits, weights, batch.comfortable).argmax(dim=1).tolist()
+    chosen = final_score(logits, weights, batch.calm).argmax(dim=1).tolist()
     rows = [_row(task.store, i, choice) for i, choice in zip(indices, chosen, strict=True)]
     return np.vstack(rows)
 

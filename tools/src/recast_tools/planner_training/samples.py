@@ -25,12 +25,14 @@ from recast.core.records import Record, read_record
 from recast.core.table_files import read_parquet, write_parquet
 from recast.logs.images import decode, encode
 from recast.planning.gtrs import PRIMITIVES, MotionPrimitives
-from recast_tools.planner_training.targets import SCORED
+from recast.planning.gtrs.expert import SCORED
+from recast_tools.planner_training.targets import COLUMN_VALUES
 
 RECORD_FILE, DRIVER_FOLDER = "dataset.json", "driver"
-VERSION: Literal[5] = 5
+VERSION: Literal[6] = 6
 """Version of the format; until version 3, samples were drawn and not driven, until version 4 a
-vocabulary was scored that was the same for all."""
+vocabulary was scored that was the same for all, until version 5 nothing told what the columns of a
+picture show."""
 MEND = "name another folder, or make the samples again"
 CLUES = (
     "present",
@@ -47,6 +49,8 @@ CLUES = (
 """What a picture tells, beside the scores: whether the vehicle placed is in sight, where its middle
 is and how it is turned (ego frame); how far the ego is off the route, to the left, and turned
 against it; how far to the left the route is 10, 20 and 30 m on. Metres and radians."""
+COLUMNS = 32
+"""Columns of a picture of which is told what they show, 16 pixels wide each."""
 HELD_OUT_EVERY = 10
 """Worlds; nine scenes take turns, so each is held out in turn."""
 
@@ -69,6 +73,7 @@ _SCHEMA = pa.schema(
         "scores": pa.list_(pa.uint8()),
         "best": pa.list_(pa.int32()),
         "clues": _FLOATS,
+        "columns": _FLOATS,
         "renderer": pa.string(),
         "twin": pa.int32(),
         "before": pa.int32(),
@@ -81,6 +86,7 @@ _CLEAN = 0.15
 _ONE_CAMERA, _UNSEEN = 0.2, (0.14, 0.27)
 """Share of pictures with black sides, as logs of one camera have them, and how much of the width is
 black at each side."""
+_MIRRORED_VALUES = np.array([-1.0 if name in ("sin", "vy") else 1.0 for name in COLUMN_VALUES])
 _MIRRORED_CLUES = np.array([-1.0 if name not in ("present", "x", "cos") else 1.0 for name in CLUES])
 
 
@@ -103,7 +109,7 @@ class DatasetRecord(Record):
     """
 
     format: Literal["recast-planner-dataset"] = "recast-planner-dataset"
-    version: Literal[5] = VERSION
+    version: Literal[6] = VERSION
     seed: int = Field(default=0, ge=0)
     per_world: int = Field(default=32, ge=2)
     speeds: int = Field(default=2, ge=1)
@@ -138,6 +144,7 @@ class Sample:
         scores: (K, 6, L) uint8, see `Targets`.
         best: (K,) int32, the best trajectory.
         clues: (10,) float32, see `CLUES`.
+        columns: (32, 6) float32, what each column of the picture shows, see `COLUMN_VALUES`.
         renderer: renderer of the image, see `RENDERERS`.
     """
 
@@ -146,6 +153,7 @@ class Sample:
     scores: NDArray[np.uint8]
     best: NDArray[np.int32]
     clues: NDArray[np.float32]
+    columns: NDArray[np.float32]
     renderer: Renderer = "oracle"
 
 
@@ -181,6 +189,7 @@ def write_world(
                     "scores": one.scores.ravel(),
                     "best": one.best,
                     "clues": one.clues,
+                    "columns": one.columns.ravel(),
                     "renderer": one.renderer,
                     "twin": int(twins[index]),
                     "before": int(before[index]),
@@ -202,7 +211,7 @@ class SampleStore:
     Attributes:
         folder, record: the first folder and its record.
         worlds: (N,) number of each sample's world.
-        status, scores, best, clues: values of all samples, see `Sample`.
+        status, scores, best, clues, columns: values of all samples, see `Sample`.
         renderer: (N,) index in `RENDERERS` of what rendered each image.
         twin: (N,) index of the sample that differs in the vehicle alone, or -1.
         before: (N,) index of the sample that was seen a second earlier, or -1.
@@ -235,10 +244,14 @@ class SampleStore:
             self._images += [path / name for name in parts["image"][-1]]
             worlds += [int(path.name.removeprefix("world-"))] * len(parts["image"][-1])
         self.worlds = np.array(worlds)
-        self.status, self.scores, self.best, self.clues, self.renderer, self.twin, self.before = (
-            np.concatenate(parts[name])
-            for name in ("status", "scores", "best", "clues", "renderer", *_LINKS)
+        whole = {name: np.concatenate(values) for name, values in parts.items() if values}
+        self.status, self.scores, self.best = whole["status"], whole["scores"], whole["best"]
+        self.clues, self.columns, self.renderer = (
+            whole["clues"],
+            whole["columns"],
+            whole["renderer"],
         )
+        self.twin, self.before = (whole[name] for name in _LINKS)
 
     def __len__(self) -> int:
         return len(self.worlds)
@@ -288,6 +301,9 @@ def _read_world(path: Path, speeds: int, each: int) -> dict[str, np.ndarray]:
         .reshape(-1, speeds, len(SCORED), each),
         "best": table.lists("best", speeds).astype(np.int32),
         "clues": table.lists("clues", len(CLUES)).astype(np.float32),
+        "columns": table.lists("columns", COLUMNS * len(COLUMN_VALUES))
+        .astype(np.float32)
+        .reshape(-1, COLUMNS, len(COLUMN_VALUES)),
         "renderer": np.array([RENDERERS.index(one) for one in renderer], np.uint8),
         **{name: table.numbers(name).astype(np.int32) for name in _LINKS},
     }
@@ -338,6 +354,11 @@ def mirror_image(image: Image) -> Image:
 def mirror_clues(clues: NDArray[np.float32]) -> NDArray[np.float32]:
     """Clues (..., 10) of the mirrored street."""
     return (clues * _MIRRORED_CLUES).astype(np.float32)
+
+
+def mirror_columns(columns: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Values of the columns (..., 32, 6) of the mirrored street."""
+    return (columns[..., ::-1, :] * _MIRRORED_VALUES).astype(np.float32)
 
 
 def mirror_status(status: NDArray[np.float32]) -> NDArray[np.float32]:

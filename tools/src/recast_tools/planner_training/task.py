@@ -17,7 +17,6 @@ from recast.arrays import Image
 from recast.core.errors import InputError
 from recast.core.files import read_json
 from recast.core.records import Record, validation_error
-from recast.dynamics.tracker import comfortable_plans
 from recast.planning.gtrs import (
     METRICS,
     BackboneConfig,
@@ -30,7 +29,8 @@ from recast.planning.gtrs import (
     training_loss,
 )
 from recast.planning.gtrs.config import ViewLayout
-from recast.planning.gtrs.scores import DEMONSTRATED, vocabulary_dropout
+from recast.planning.gtrs.expert import SCORED
+from recast.planning.gtrs.scores import DEMONSTRATED, comfortable, vocabulary_dropout
 from recast.training.loop import StepLoss, StepRandom
 from recast.training.state import TrainerSettings, overridden
 from recast_tools.planner_training.samples import (
@@ -38,14 +38,19 @@ from recast_tools.planner_training.samples import (
     SampleStore,
     augment,
     mirror_clues,
+    mirror_columns,
     mirror_image,
     mirror_status,
 )
-from recast_tools.planner_training.targets import SCORED, unpacked
+from recast_tools.planner_training.targets import COLUMN_VALUES, unpacked
 
-_SCALES = (1.0, 12.0, 3.0, 1.0, 1.0, 0.4, 0.06, 0.6, 1.5, 3.0)
-"""Usual sizes of the clues."""
-_CLUE_WEIGHT = 1.0
+_ROAD = CLUES.index("lateral")
+"""First of the clues about the road, which are read from the picture; those about the vehicle are
+read from its columns."""
+_ROAD_SCALES = (0.4, 0.06, 0.6, 1.5, 3.0)
+_COLUMN_SCALES = (1.0, 0.5, 1.0, 0.7, 5.0, 2.0)
+"""Usual sizes of what is read: errors count in these."""
+_MOVING = COLUMN_VALUES.index("vx")
 _FORGOTTEN = 0.15
 """Share of the samples whose earlier image is left out, as at the first moment of a run."""
 
@@ -71,10 +76,11 @@ class Batch:
         known: (B,) bool, whether there are some.
         status: (B K, 8) status vectors, those of a picture one after another.
         trajectories: (B K, L, 40, 3) trajectories that are scored.
-        comfortable: (B K, L) bool, which of them are, see `comfortable_plans`.
+        calm: (B K, L) bool, which of them are `comfortable`.
         targets: (B K, L) target sub-scores, by metric head.
         demonstration: (B K, 8, 3) poses of the best trajectories of all.
         clues: (B, 10).
+        columns: (B, 32, 6), see `COLUMN_VALUES`.
     """
 
     images: Tensor
@@ -82,10 +88,11 @@ class Batch:
     known: Tensor
     status: Tensor
     trajectories: Tensor
-    comfortable: Tensor
+    calm: Tensor
     targets: Mapping[str, Tensor]
     demonstration: Tensor
     clues: Tensor
+    columns: Tensor
 
 
 class GtrsTask:
@@ -181,8 +188,9 @@ class GtrsTask:
         columns = np.where(mirrored[:, None], twice[scored], scored)[:, None, None]
         scores = unpacked(np.take_along_axis(store.scores[at], columns, axis=-1))
         status, best, clues = store.status[at], store.best[at].astype(np.int64), store.clues[chosen]
+        columns = store.columns[chosen]
         for row in np.flatnonzero(mirrored):
-            pictures[row] = mirror_image(pictures[row])
+            pictures[row], columns[row] = mirror_image(pictures[row]), mirror_columns(columns[row])
             status[row], clues[row] = mirror_status(status[row]), mirror_clues(clues[row])
             best[row] = twice[best[row]]
         possible = self.primitives.trajectories(status.reshape(-1, status.shape[-1]))
@@ -202,46 +210,38 @@ class GtrsTask:
             torch.from_numpy(known),
             torch.from_numpy(status).flatten(0, 1),
             torch.from_numpy(trajectories),
-            torch.from_numpy(comfortable_plans(trajectories)),
+            torch.from_numpy(comfortable(trajectories, status.reshape(len(trajectories), -1))),
             targets,
             torch.from_numpy(demonstrated),
             torch.from_numpy(clues),
+            torch.from_numpy(columns),
         )
 
     def of(self, batch: Batch) -> dict[str, Tensor]:
         """Terms of the loss by name."""
+        tokens, count = self.look(batch), self.model.config.image_tokens
+        logits = self.logits(tokens, batch)
+        terms = training_loss(logits, batch.targets, batch.trajectories, batch.demonstration)
+        terms["clues"] = self.reader.loss(self.reader(tokens[:, :count]), batch.clues)
+        if batch.earlier is not None:
+            terms["columns"] = self.reader.column_loss(
+                tokens[:, count:], batch.columns, batch.known
+            )
+        return terms
+
+    def look(self, batch: Batch) -> Tensor:
+        """Tokens (B, T, d) of the pictures, see `GtrsModel.look`."""
         earlier = None
         if batch.earlier is not None:
             # The backbone learns from the present images: a step takes a quarter less.
             with torch.no_grad():
                 earlier = self.model.backbone(batch.earlier)
-        features = self.model.backbone(batch.images)
-        logits = self.logits(features, batch, earlier)
-        terms = training_loss(logits, batch.targets, batch.trajectories, batch.demonstration)
-        read = self.reader(self.model.image_tokens(features))
-        terms["clues"] = _CLUE_WEIGHT * self.reader.loss(read, batch.clues)
-        return terms
+        return self.model.look(self.model.backbone(batch.images), earlier, batch.known)
 
-    def seen(self, batch: Batch) -> dict[str, Tensor]:
-        """Logits (B K, L) of every head for a batch with one speed."""
-        return self.model(
-            batch.images, batch.status, batch.trajectories, batch.earlier, batch.known
-        )
-
-    def logits(
-        self, features: Tensor, batch: Batch, earlier: Tensor | None = None
-    ) -> dict[str, Tensor]:
-        """Logits (B K, L) of every head, from the backbone's features (B, C, h, w) of a batch, and
-        of its earlier images."""
-        speeds = len(batch.status) // len(features)
-
-        def each(values: Tensor) -> Tensor:
-            return values.repeat_interleave(speeds, dim=0)
-
-        before = None if earlier is None else each(earlier)
-        return self.model.score(
-            each(features), batch.status, batch.trajectories, before, each(batch.known)
-        )
+    def logits(self, tokens: Tensor, batch: Batch) -> dict[str, Tensor]:
+        """Logits (B K, L) of every head, from the tokens of `look`."""
+        each = tokens.repeat_interleave(len(batch.status) // len(tokens), dim=0)
+        return self.model.score(each, batch.status, batch.trajectories)
 
 
 def sum_of(terms: Mapping[str, Tensor]) -> Tensor:
@@ -250,10 +250,11 @@ def sum_of(terms: Mapping[str, Tensor]) -> Tensor:
 
 
 class ClueReader(nn.Module):
-    """One learned query looks over the image tokens; an MLP names the clues.
+    """Reads the clues about the road from the image tokens, by learned queries that look over them,
+    and what each column shows from the tokens of the columns.
 
     The scores of trajectories depend on the picture only where something is in the way. This loss
-    teaches the backbone from the first step on where the vehicle and the road are.
+    teaches the backbone from the first step on where vehicles and road are, and how vehicles move.
 
     Args:
         channels: number of channels of the tokens.
@@ -261,14 +262,17 @@ class ClueReader(nn.Module):
     """
 
     scales: Tensor
+    column_scales: Tensor
 
     def __init__(self, channels: int, generator: torch.Generator) -> None:
         super().__init__()
         self.weigh = nn.Linear(channels, 4)
         self.read = nn.Sequential(
-            nn.Linear(4 * channels, channels), nn.ReLU(), nn.Linear(channels, len(CLUES))
+            nn.Linear(4 * channels, channels), nn.ReLU(), nn.Linear(channels, len(_ROAD_SCALES))
         )
-        self.register_buffer("scales", torch.tensor(_SCALES), persistent=False)
+        self.column = nn.Linear(channels, len(COLUMN_VALUES))
+        self.register_buffer("scales", torch.tensor(_ROAD_SCALES), persistent=False)
+        self.register_buffer("column_scales", torch.tensor(_COLUMN_SCALES), persistent=False)
         with torch.no_grad():
             for part in self.modules():
                 if isinstance(part, nn.Linear):
@@ -276,19 +280,39 @@ class ClueReader(nn.Module):
                     nn.init.zeros_(part.bias)
 
     def forward(self, tokens: Tensor) -> Tensor:
-        """Image tokens (B, T, d) to clues (B, 10), in units of `scales`; the first is a logit."""
+        """Image tokens (B, T, d) to the clues about the road (B, 5), in units of `scales`."""
         weights = self.weigh(tokens).softmax(dim=1)
         pooled = torch.einsum("btq,btd->bqd", weights, tokens).flatten(1)
         return self.read(pooled)
 
     def loss(self, found: Tensor, clues: Tensor) -> Tensor:
-        """Presence by cross-entropy; the vehicle's place where it is there; the road always."""
-        present = clues[:, 0]
-        wanted = clues / self.scales
-        misses = functional.smooth_l1_loss(found, wanted, reduction="none")
-        vehicle = (misses[:, 1:5].mean(dim=1) * present).sum() / present.sum().clamp(min=1.0)
-        seen = functional.binary_cross_entropy_with_logits(found[:, 0], present)
-        return seen + 2.0 * vehicle + misses[:, 5:].mean()
+        """Loss of what `forward` read, against clues (B, 10)."""
+        return functional.smooth_l1_loss(found, clues[:, _ROAD:] / self.scales)
+
+    def column_loss(self, tokens: Tensor, columns: Tensor, known: Tensor) -> Tensor:
+        """Presence by cross-entropy in every column, the rest where something is there.
+
+        How it moves counts only where there is an earlier image.
+
+        Args:
+            tokens: (B, W, d) tokens of the columns.
+            columns: (B, 32, 6) what they show, W being a part of 32.
+            known: (B,) bool.
+        """
+        each = columns.shape[1] // tokens.shape[1]
+        wanted = columns.unflatten(1, (-1, each))
+        nearest = wanted[..., 0] * (10.0 - wanted[..., 1])
+        wanted = wanted.gather(2, nearest.argmax(dim=2)[..., None, None].expand(-1, -1, 1, 6))
+        wanted = wanted.squeeze(2) / self.column_scales
+        found, there = self.column(tokens), wanted[..., 0]
+        counted = there[..., None].repeat(1, 1, found.shape[-1])
+        counted[..., _MOVING:] *= known[:, None, None]
+        misses = functional.smooth_l1_loss(found, wanted, reduction="none") * counted
+        seen = functional.binary_cross_entropy_with_logits(found[..., 0], there)
+        each_value = misses[..., 1:].sum(dim=(0, 1)) / counted[..., 1:].sum(dim=(0, 1)).clamp(
+            min=1.0
+        )
+        return 2.0 * seen + each_value.sum() / 2.0
 
 
 def _stage(blocks: int, conv_channels: int, out_channels: int) -> BackboneStage:
@@ -308,6 +332,7 @@ MINI = GtrsConfig(
     decoder_layers=2,
     token_rows=8,
     token_columns=32,
+    history=1.0,
 )
 """A backbone that ends at stride 16: a vehicle 40 m ahead is 11 of 512 columns wide."""
 
