@@ -254,7 +254,7 @@ class RecordedDrive:
     def __init__(
         self, log: DrivingLog, planner: BasePlanner, vehicle: VehicleParameters, seed: int
     ) -> None:
-        self.log, self.vehicle = log, vehicle
+        self.log, self.vehicle, self.foretold = log, vehicle, planner.foresees
         self.route = ReferenceRoute.from_trajectory(log.world_from_rig)
         mounts: dict[str, CameraMount] = {}
         if planner.needs_images:
@@ -311,7 +311,7 @@ class RecordedDrive:
             timestamp_us=time_us,
             ego=EgoState(now),
             ego_history=np.stack([*past, now]),
-            actors=logged_road_users(self.log.tracks.values(), time_us, _DT),
+            actors=logged_road_users(self.log.tracks.values(), time_us, _DT, self.foretold),
             command=self.route.command(now, near),
             images=self.images(time_us),
             route_s=float(self.route.project(now, near)[0]),

@@ -4,14 +4,23 @@ import numpy as np
 import pytest
 import shapely
 
-from recast.dynamics import PACIFICA, make_state, plan_to_poses, track
+from recast.core.errors import InputError
+from recast.dynamics import PACIFICA, EgoState, make_state, plan_to_poses, track
 from recast.dynamics import state as ego
 from recast.geometry import boxes
 from recast.geometry.boxes import bev_touching
-from recast.planning import DrivingCommand
+from recast.logs.derive_map import map_of
+from recast.planning import (
+    ActorState,
+    DrivingCommand,
+    PlannerInput,
+    PlanningContext,
+    ReferenceRoute,
+)
 from recast.planning.gtrs import PRIMITIVES
 from recast.planning.gtrs.expert import (
     FORESEEN,
+    Expert,
     TargetObstacle,
     collisions,
     score_trajectories,
@@ -22,6 +31,7 @@ from recast.planning.pdm.forecast import box_corners
 from recast.planning.pdm.scorer import EgoAreas, at_fault_collisions, time_to_collision
 from recast.planning.types import ego_status
 from recast_tools.planner_training.evaluate import true_scores
+from support.synthetic_drives import drive
 from support.target_roads import moving, straight_road
 
 
@@ -168,3 +178,35 @@ def test_what_suffices_only_just_is_not_the_best() -> None:
     just = int((totals * some).argmax())
     assert rates[just] == -2.0
     assert steady_best(fan, totals * some, some)[0] < just
+
+
+def told(future: np.ndarray | None) -> tuple[ActorState, ...]:
+    """A car 30 m ahead that drives at 8 m/s, as it seems."""
+    pose, size = np.array([70.0, 0.0, 0.0]), np.array([4.5, 1.9, 1.5])
+    return (ActorState("car", "car", pose, np.array([8.0, 0.0]), size, future),)
+
+
+def test_the_expert_brakes_for_what_it_is_told() -> None:
+    """A car that will stop at once; one that goes on; one whose label ends while it drives."""
+    log = drive(speed=8.0)
+    route = ReferenceRoute.from_trajectory(log.world_from_rig)
+    expert = Expert()
+    expert.reset(PlanningContext(route, log.world_from_rig, map=map_of(log)))
+    state = make_state(np.array([40.0, 0.0, 0.0]), 8.0)
+    stops = np.tile([70.0, 0.0, 0.0], (80, 1))
+    goes = stops + 0.8 * np.arange(80)[:, None] * [1.0, 0.0, 0.0]
+    driven = {}
+    for name, future in (("stops", stops), ("goes", goes), ("ends", goes[:9]), ("seems", None)):
+        seen = PlannerInput(
+            step=0,
+            timestamp_us=log.world_from_rig.timestamps_us[0],
+            ego=EgoState(state),
+            ego_history=state[None],
+            actors=told(future),
+            command=DrivingCommand.STRAIGHT,
+        )
+        driven[name] = expert.plan(seen).waypoints[-1, 0]
+    assert driven["stops"] < 26.0 < driven["goes"]
+    assert driven["goes"] == driven["ends"] == driven["seems"]
+    with pytest.raises(InputError, match="map: is missing"):
+        expert.reset(PlanningContext(route, log.world_from_rig))

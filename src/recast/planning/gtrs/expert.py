@@ -8,7 +8,7 @@ areas say "multiple lanes" everywhere), by arithmetic on boxes instead of tests 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -292,13 +292,18 @@ def collisions(
 class Expert(BasePlanner):
     """The driver that the samples come from, as a planner: the best trajectory by its true scores.
 
-    It is told where the boxes will be, as the samples know it; on recorded drives it foresees them
-    at constant velocity. With it, the measure of driving tells how good what is learnt can be.
+    It is told where the boxes will be; those that react it foresees at constant velocity. With it,
+    the measure of driving tells how good what is learnt can be.
     """
 
     name = "expert"
     needs_images = False
     foresees = True
+
+    @property
+    def record_fields(self) -> Mapping[str, str | float]:
+        """That it is no planner to be tested."""
+        return {"told": "where the others will be"}
 
     def __init__(self) -> None:
         self._road: TargetRoad | None = None
@@ -323,8 +328,10 @@ class Expert(BasePlanner):
 
 
 def _future(actor: ActorState) -> Array:
-    """Poses (FORESEEN + 1, 3) from now on; after the last one told, it stands."""
-    steps = np.arange(FORESEEN + 1)
-    if actor.future is None:
-        return actor.pose + _DT * steps[:, None] * np.array([*actor.velocity, 0.0])
-    return actor.future[np.minimum(steps, len(actor.future) - 1)]
+    """Poses (FORESEEN + 1, 3) from now on; behind what is told, it goes on as it last moved."""
+    told = actor.pose[None] if actor.future is None else actor.future[: FORESEEN + 1]
+    step = _DT * np.array([*actor.velocity, 0.0])
+    if len(told) > 1:
+        step = np.array([*(told[-1] - told[-2])[:2], 0.0])
+    later = np.arange(1, FORESEEN + 2 - len(told))[:, None]
+    return np.concatenate([told, told[-1] + later * step])
