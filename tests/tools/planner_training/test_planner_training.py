@@ -1,3 +1,4 @@
+import json
 import re
 import shutil
 from pathlib import Path
@@ -35,7 +36,7 @@ from recast_tools.planner_training.task import (
     chosen_training,
     first_model,
 )
-from recast_tools.planner_training.train import export_planner, train_planner
+from recast_tools.planner_training.train import TRAINING_FILE, export_planner, train_planner
 
 TINY = GtrsConfig(
     backbone=BackboneConfig(
@@ -118,6 +119,31 @@ def test_reconstructed_samples_can_be_left_out(small_dataset: Path, tmp_path: Pa
     assert states["all"] != states["alone"]
     with pytest.raises(InputError, match="samples"):  # a training is of one kind
         train_planner([mixed], tmp_path / "all", config(3, oracle_only=True), QUIET)
+
+
+def test_a_training_as_recorded_sees_no_vehicle_that_was_placed(
+    small_dataset: Path, tmp_path: Path
+) -> None:
+    """Twins neither: only they differ in it."""
+    shutil.copytree(small_dataset, tmp_path / "more")
+    both = [small_dataset, tmp_path / "more"]
+    train_planner(both, tmp_path / "out", config(2, as_recorded=True), QUIET)
+    record = json.loads((tmp_path / "out" / TRAINING_FILE).read_bytes())
+    assert (record["samples"], record["held_out"]) == (18, 2)  # a half
+    store = SampleStore(small_dataset)
+    alone = np.flatnonzero(store.clues[:, 0] == 0)
+    reader = ClueReader(TINY.channels, torch.Generator().manual_seed(0))
+    task, seen = GtrsTask(store, alone, first_model(0, TINY), reader, 4, 16), []
+    gather = task.gather
+
+    def watched(chosen: np.ndarray, *parts: Any) -> Batch:
+        seen.append(chosen)
+        return gather(chosen, *parts)
+
+    task.gather = watched  # type: ignore[method-assign]
+    for step in range(4):
+        task.loss(step, StepRandom.of(0, step))
+    assert np.isin(np.concatenate(seen), alone).all()
 
 
 def test_another_training_in_the_same_folder_is_refused(

@@ -125,6 +125,7 @@ class GtrsTask:
         self.store, self.indices, self.batch = store, indices, batch
         self.primitives = store.record.primitives
         self._mirror = self.primitives.mirror
+        self._twin = np.where(np.isin(store.twin, indices), store.twin, -1)
         self._kept = min(kept, len(self.primitives))
         self.model, self.reader = model, reader
         self.modules: Mapping[str, nn.Module] = {"gtrs": model, "reader": reader}
@@ -133,7 +134,7 @@ class GtrsTask:
         """Loss of the batch of a step, and its terms."""
         rng = random.numpy
         drawn = rng.choice(self.indices, self.batch // 2, replace=False)
-        twins = self.store.twin[drawn]
+        twins = self._twin[drawn]
         others = rng.choice(self.indices, len(drawn), replace=False)
         chosen = np.concatenate([drawn, np.where(twins >= 0, twins, others)])
         mirrored = rng.uniform(size=len(chosen)) < 0.5
@@ -384,6 +385,7 @@ class PlannerTrainingConfig(Record):
         batch: samples a step, even.
         kept: primitives that are scored in a step.
         oracle_only: leave out samples that show a reconstruction, those held out too.
+        as_recorded: leave out samples that show a vehicle which was placed: what a recording has.
         judged: held-out samples that each line of the log is judged on; at the end all are.
         sheet_every: steps between sheets of held-out decisions; 0 draws none.
     """
@@ -403,6 +405,7 @@ class PlannerTrainingConfig(Record):
     batch: int = Field(default=8, ge=2, multiple_of=2)
     kept: int = Field(default=192, ge=1)
     oracle_only: bool = False
+    as_recorded: bool = False
     judged: int = Field(default=96, ge=2)
     sheet_every: int = Field(default=2_000, ge=0)
 

@@ -179,7 +179,9 @@ def _open(
     store = SampleStore(*datasets)
     used = np.ones(len(store), np.bool_)
     if config.oracle_only:
-        used = store.renderer == RENDERERS.index("oracle")
+        used &= store.renderer == RENDERERS.index("oracle")
+    if config.as_recorded:
+        used &= store.clues[:, 0] == 0
     train_on = np.flatnonzero(used & ~store.held_out)
     held_out = np.flatnonzero(used & store.held_out)
     if len(train_on) < config.batch or len(held_out) < 2:
