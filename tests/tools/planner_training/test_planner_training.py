@@ -33,6 +33,7 @@ from recast_tools.planner_training.task import (
     ClueReader,
     GtrsTask,
     PlannerTrainingConfig,
+    balanced,
     chosen_training,
     first_model,
 )
@@ -327,3 +328,22 @@ def test_a_missing_picture_is_told(small_dataset: Path, tmp_path: Path) -> None:
     (world_folder(data, 4) / "001.png").unlink()
     with pytest.raises(InputError, match=r"001\.png"):
         SampleStore(data).image(9)
+
+
+def test_rare_kinds_are_drawn_more_often(small_dataset: Path) -> None:
+    """As the root of their number, whatever comes of them."""
+    store = SampleStore(small_dataset)
+    store.clues[:] = 0.0
+    store.clues[:4, :4] = 1.0, 12.0, 3.3, 1.0  # beside the lane
+    store.clues[4:8, :4] = 1.0, 12.0, -3.3, 1.0  # on the other side
+    store.clues[8, :4] = 1.0, 12.0, 0.2, -1.0  # facing the ego
+    store.before[:] = 0
+    store.before[0] = -1
+    chances = balanced(store, np.arange(20))
+    groups = {"first": [0], "beside": range(1, 8), "facing": [8], "free": range(9, 20)}
+    mass = {name: chances[list(rows)].sum() for name, rows in groups.items()}
+    for name, rows in groups.items():
+        assert mass[name] / mass["first"] == pytest.approx(np.sqrt(len(rows)))
+    assert chances.sum() == pytest.approx(1.0)
+    again = balanced(store, np.arange(8, 20))
+    assert again[0] / again[1:].sum() == pytest.approx(1 / np.sqrt(11))

@@ -13,7 +13,7 @@ from pydantic import Field, ValidationError
 from torch import Tensor, nn
 from torch.nn import functional
 
-from recast.arrays import Image
+from recast.arrays import Array, Image
 from recast.core.errors import InputError
 from recast.core.files import read_json
 from recast.core.records import Record, validation_error
@@ -51,6 +51,8 @@ _ROAD_SCALES = (0.4, 0.06, 0.6, 1.5, 3.0)
 _COLUMN_SCALES = (1.0, 0.5, 1.0, 0.7, 5.0, 2.0)
 """Usual sizes of what is read: errors count in these."""
 _MOVING = COLUMN_VALUES.index("vx")
+_BESIDE, _FAR = 2.0, 22.0
+"""Metres to one side, and ahead of the rear axle: kinds of samples."""
 _FORGOTTEN = 0.15
 """Share of the samples whose earlier image is left out, as at the first moment of a run."""
 
@@ -98,9 +100,9 @@ class Batch:
 class GtrsTask:
     """Trains a GTRS model on stored samples, with the loss of the released training.
 
-    Half of a batch is drawn; the other half are their twins, the same situations with or without
-    the vehicle, where there are some, and else other samples. Half of all are mirrored, and all
-    but one in seven altered, see `augment`. Each picture is looked at once and scored at all its
+    Half of a batch is drawn, see `balanced`; the other half are their twins, the same situations
+    with or without the vehicle, where there are some, and else other samples. Half of all are
+    mirrored, and all but one in seven altered, see `augment`. Each picture is looked at once and scored at all its
     speeds, with a part of the primitives that is drawn for the step: twins have the same speeds, so
     that nothing but the picture tells them apart.
 
@@ -126,6 +128,7 @@ class GtrsTask:
         self.primitives = store.record.primitives
         self._mirror = self.primitives.mirror
         self._twin = np.where(np.isin(store.twin, indices), store.twin, -1)
+        self._chances = balanced(store, indices)
         self._kept = min(kept, len(self.primitives))
         self.model, self.reader = model, reader
         self.modules: Mapping[str, nn.Module] = {"gtrs": model, "reader": reader}
@@ -133,9 +136,9 @@ class GtrsTask:
     def loss(self, step: int, random: StepRandom) -> StepLoss:
         """Loss of the batch of a step, and its terms."""
         rng = random.numpy
-        drawn = rng.choice(self.indices, self.batch // 2, replace=False)
+        drawn = rng.choice(self.indices, self.batch // 2, replace=False, p=self._chances)
         twins = self._twin[drawn]
-        others = rng.choice(self.indices, len(drawn), replace=False)
+        others = rng.choice(self.indices, len(drawn), replace=False, p=self._chances)
         chosen = np.concatenate([drawn, np.where(twins >= 0, twins, others)])
         mirrored = rng.uniform(size=len(chosen)) < 0.5
         known = (self.store.before[chosen] >= 0) & (rng.uniform(size=len(chosen)) > _FORGOTTEN)
@@ -243,6 +246,25 @@ class GtrsTask:
         """Logits (B K, L) of every head, from the tokens of `look`."""
         each = tokens.repeat_interleave(len(batch.status) // len(tokens), dim=0)
         return self.model.score(each, batch.status, batch.trajectories)
+
+
+def balanced(store: SampleStore, indices: NDArray[np.int64]) -> Array:
+    """(N,) probabilities with which samples are drawn: what is rare to be seen, more often.
+
+    The samples are of kinds, by where the vehicle placed is (out of sight, ahead in the lane or
+    beside it, near or far, driving along or facing the ego) and whether there is an earlier image;
+    a kind is drawn as often as the root of its number. A car beside the lane that will cut in is
+    in one of a hundred samples, and what to do about it must be decided in its first moments. What
+    comes of it is no part of the kind: then what is foretold would be too likely.
+    """
+    present, x, y, along = store.clues[indices, :4].T
+    beside, far = np.abs(y) > _BESIDE, x > _FAR
+    kind = (present > 0) * (1 + beside + 2 * far + 4 * (along < 0))
+    _, number, counts = np.unique(
+        2 * kind + (store.before[indices] < 0), return_inverse=True, return_counts=True
+    )
+    chances = 1.0 / np.sqrt(counts[number])
+    return np.asarray(chances / chances.sum())
 
 
 def sum_of(terms: Mapping[str, Tensor]) -> Tensor:
