@@ -47,10 +47,11 @@ def test_a_pooled_column_is_the_weighted_mean_of_its_rows(model: GtrsModel) -> N
 @torch.no_grad()
 def test_what_was_earlier_changes_the_columns_near_it_alone(model: GtrsModel) -> None:
     now, earlier = features(model, 0), features(model, 1)
-    seen = model.look(now, earlier)
+    second = torch.ones(2)
+    seen = model.look(now, earlier, second)
     changed = earlier.clone()
     changed[..., 0] += 1.0
-    difference = (model.look(now, changed) - seen).abs().amax(dim=(0, 2)).numpy()
+    difference = (model.look(now, changed, second) - seen).abs().amax(dim=(0, 2)).numpy()
     # Two convolutions over columns reach three of them, 5 and 3 wide.
     reached = np.arange(len(difference)) - model.config.image_tokens
     assert (difference[(reached >= 0) & (reached <= 3)] > 0).any()
@@ -60,8 +61,16 @@ def test_what_was_earlier_changes_the_columns_near_it_alone(model: GtrsModel) ->
 @torch.no_grad()
 def test_without_an_earlier_image_it_matters_to_nobody(model: GtrsModel) -> None:
     now, earlier = features(model, 0), features(model, 1)
-    alone, both = model.look(now), model.look(now, earlier)
-    some = model.look(now, earlier, torch.tensor([True, False]))
+    alone, both = model.look(now), model.look(now, earlier, torch.ones(2))
+    some = model.look(now, earlier, torch.tensor([1.0, 0.0]))
     torch.testing.assert_close(some[0], both[0])
     torch.testing.assert_close(some[1], alone[1])
     assert (alone - both).abs().max() > 1e-3
+
+
+@torch.no_grad()
+def test_how_much_earlier_matters(model: GtrsModel) -> None:
+    """Half a second of motion is half as far as a second of it."""
+    now, earlier = features(model, 0), features(model, 1)
+    half = model.look(now, earlier, torch.full((2,), 0.5))
+    assert (half - model.look(now, earlier, torch.ones(2))).abs().max() > 1e-3

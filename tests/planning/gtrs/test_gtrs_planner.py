@@ -234,17 +234,18 @@ def test_a_second_image_is_the_one_of_a_second_ago(
     remembering.reset(context)
     status = ego_status(observation.command, observation.ego)
     seen = {t: VIEWS.stitch(at(observation, t).images) for t in (0.0, 0.5, 1.0, 1.5)}
-    for now, before in ((0.0, None), (0.5, None), (1.0, 0.0), (1.5, 0.5)):
+    for now, before in ((0.0, None), (0.5, 0.0), (1.0, 0.0), (1.5, 0.5)):
         found = remembering.decide(at(observation, now))
         again = remembering.decide(at(observation, now))  # a second look remembers nothing new
-        earlier = None if before is None else seen[before]
-        expected = remembering.judge(seen[now], status, earlier)
+        pictures = [seen[now]] if before is None else [seen[before], seen[now]]
+        expected = remembering.judge(pictures, status, now - (before or 0.0))
         np.testing.assert_allclose(found.scores, expected.scores, rtol=0, atol=1e-4)
         np.testing.assert_array_equal(found.scores, again.scores)
-    alone = remembering.judge(seen[1.0], status)
-    assert (
-        np.abs(alone.scores - remembering.judge(seen[1.0], status, seen[0.0]).scores).max() > 1e-3
-    )
+    alone = remembering.judge([seen[1.0]], status)
+    both = remembering.judge([seen[0.0], seen[1.0]], status, 1.0)
+    assert np.abs(alone.scores - both.scores).max() > 1e-3
+    too_old = remembering.judge([seen[0.0], seen[1.0]], status, 1.6)
+    np.testing.assert_array_equal(too_old.scores, alone.scores)
 
 
 def test_a_copy_and_a_reset_have_memories_of_their_own(
@@ -258,9 +259,8 @@ def test_a_copy_and_a_reset_have_memories_of_their_own(
     assert np.abs(own.scores - theirs.scores).max() > 1e-3
     remembering.reset(context)
     forgotten = remembering.decide(at(observation, 1.0))
-    alone = remembering.judge(
-        VIEWS.stitch(at(observation, 1.0).images), ego_status(observation.command, observation.ego)
-    )
+    status = ego_status(observation.command, observation.ego)
+    alone = remembering.judge([VIEWS.stitch(at(observation, 1.0).images)], status)
     np.testing.assert_allclose(forgotten.scores, alone.scores, rtol=0, atol=1e-4)
 
 
@@ -271,7 +271,7 @@ def test_an_unknown_earlier_image_says_nothing(remembering: GtrsPlanner) -> None
     earlier, status = torch.rand(2, 3, 32, 128, generator=generator), torch.randn(2, 8)
     trajectories = torch.from_numpy(remembering.vocabulary)
     with torch.no_grad():
-        both = remembering.model(images, status, trajectories, earlier, torch.tensor([True, False]))
+        both = remembering.model(images, status, trajectories, earlier, torch.tensor([1.0, 0.0]))
         known = remembering.model(images, status, trajectories, earlier)
         none = remembering.model(images, status, trajectories)
     for name, found in both.items():

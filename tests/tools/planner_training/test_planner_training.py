@@ -300,6 +300,13 @@ def test_twins_lack_the_same_images(small_dataset: Path) -> None:
     for step in range(6):
         task.loss(step, StepRandom.of(0, step))
     assert not np.concatenate(seen).any()  # one of each pair has no image before
+    store.before[:] = np.arange(len(store)) ^ 1  # now each has its twin before it
+    seen.clear()
+    for step in range(12):
+        task.loss(step, StepRandom.of(0, step))
+    halves = np.array(seen).reshape(12, 2, -1)
+    np.testing.assert_array_equal(halves[:, 0], halves[:, 1])
+    assert set(np.unique(halves)) == {0.0, 0.5, 1.0, 1.5}
 
 
 @pytest.mark.parametrize(

@@ -81,8 +81,8 @@ class GtrsConfig(Record):
         channels: number of channels of all tokens, d.
         feedforward: hidden channels of the decoder, of the vocabulary embedding and of the heads.
         token_rows, token_columns: size to which the backbone's features are pooled.
-        history: seconds by which a second image is older than the present one; None for a model
-            that looks at the present image alone, as the released one does.
+        history: seconds by which a second image is older than the present one, up to half of it
+            off; None for a model that looks at the present image alone, as the released one does.
     """
 
     backbone: BackboneConfig = BackboneConfig()

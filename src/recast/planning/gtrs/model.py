@@ -275,28 +275,29 @@ class PositionEmbedding(nn.Module):
 
 
 class ColumnTokens(nn.Module):
-    """One token for each column of image tokens: what stands in that direction, now and earlier.
-
-    How things move is in the difference between two images, which here lie beside each other.
-    """
+    """One token for each column of image tokens: what stands in that direction, now and earlier,
+    beside each other, since how things move is in the difference."""
 
     def __init__(self, config: GtrsConfig) -> None:
         super().__init__()
-        d, self._rows = config.channels, config.token_rows
+        d, self._rows, self._history = config.channels, config.token_rows, config.history or 0.0
         self.weigh = nn.Linear(d, 2)
         self.mix = nn.Sequential(
             nn.Conv1d(4 * d, d, 5, padding=2), nn.ReLU(), nn.Conv1d(d, d, 3, padding=1)
         )
         self.place = PositionEmbedding(config.token_columns, d)
         self.unknown = PositionEmbedding(config.token_columns, 2 * d)
+        self.age = PositionEmbedding(1, 2 * d)
 
-    def forward(self, now: Tensor, earlier: Tensor | None, known: Tensor | None) -> Tensor:
+    def forward(self, now: Tensor, earlier: Tensor | None, age: Tensor | None) -> Tensor:
         """Tokens (B, T, d) of two images, row by row, to (B, W, d); see `GtrsModel.look`."""
         seen = self._pooled(now)
         before = self.unknown(torch.zeros_like(seen))
         if earlier is not None:
-            known = now.new_ones(len(now), dtype=torch.bool) if known is None else known
-            before = torch.where(known[:, None, None], self._pooled(earlier), before)
+            age = now.new_full((len(now),), self._history) if age is None else age.to(now)
+            age = age[:, None, None]
+            there = self._pooled(earlier) + (age - 1.0) * self.age.weight
+            before = torch.where(age > 0.0, there, before)
         mixed: Tensor = self.mix(torch.cat([seen, before], dim=-1).transpose(1, 2))
         return self.place(mixed.transpose(1, 2))
 
@@ -355,21 +356,21 @@ class GtrsModel(nn.Module):
         return self._status_encoding(status)
 
     def look(
-        self, features: Tensor, earlier: Tensor | None = None, known: Tensor | None = None
+        self, features: Tensor, earlier: Tensor | None = None, age: Tensor | None = None
     ) -> Tensor:
         """What trajectories are scored against, (B, T, d): the image's tokens, and, for a model
         with a history, those of its columns.
 
         Args:
             features: backbone features (B, C, h, w).
-            earlier: those of the earlier images.
-            known: (B,) bool, which of them there are; all if None.
+            earlier: those of earlier images.
+            age: (B,) how much earlier, seconds; 0 where there is none. None: the history.
         """
         tokens = self.image_tokens(features)
         if self._columns is None:
             return tokens
         before = None if earlier is None else self.image_tokens(earlier)
-        return torch.cat([tokens, self._columns(tokens, before, known)], dim=1)
+        return torch.cat([tokens, self._columns(tokens, before, age)], dim=1)
 
     def score(self, tokens: Tensor, status: Tensor, trajectories: Tensor) -> dict[str, Tensor]:
         """Logits from the tokens of `look`; otherwise as `forward`."""
@@ -383,7 +384,7 @@ class GtrsModel(nn.Module):
         status: Tensor,
         trajectories: Tensor,
         earlier: Tensor | None = None,
-        known: Tensor | None = None,
+        age: Tensor | None = None,
     ) -> dict[str, Tensor]:
         """Logits of every head for every trajectory; arguments beside these as of `look`.
 
@@ -392,14 +393,13 @@ class GtrsModel(nn.Module):
             status: (B, 8), see `ego_status`.
             trajectories: (L, 40, 3), the same for all samples, or (B, L, 40, 3): x, y, heading of
                 the rear axle in the present ego frame at 0.1 s .. 4 s.
-            earlier: (B, 3, H, W) images `history` seconds earlier, for a model that looks at them;
-                None where there are none.
+            earlier: (B, 3, H, W) images, for a model that looks at them; None: there are none.
 
         Returns:
             head name to (B, L); see `final_score`.
         """
         before = None if earlier is None else self.backbone(earlier)
-        tokens = self.look(self.backbone(images), before, known)
+        tokens = self.look(self.backbone(images), before, age)
         return self.score(tokens, status, trajectories)
 
     @torch.no_grad()
@@ -453,9 +453,8 @@ class _FrozenBatchNorm(nn.BatchNorm2d):
 class _Chain(nn.Sequential):
     """Modules one after the other; in inference, a norm is folded into the convolution before it.
 
-    That saves two passes over the features. The folded weights are computed anew each time, which
-    costs nothing beside the convolution: so there is one set of weights, to be trained, saved and
-    replaced, and nothing that could be out of date.
+    The folded weights are computed anew each time, which costs nothing beside the convolution: so
+    there is one set of weights, and nothing that could be out of date.
     """
 
     def forward(self, x: Tensor) -> Tensor:

@@ -109,7 +109,7 @@ class GtrsPlanner(BasePlanner):
 
     The chosen entry is returned as it is, unless the weights say that those near it are blended in.
     A model with a `history` remembers what it saw of the images of a rollout, and looks again at
-    the one that is nearest to so many seconds ago, if it is less than half of that off. Nothing
+    the one that is nearest to so many seconds ago, if it is at most half of that off. Nothing
     else is remembered from one cycle to the next, but for what depends on a vocabulary alone, which
     is computed once.
 
@@ -266,37 +266,46 @@ class GtrsPlanner(BasePlanner):
         sizes = {view: (camera.width, camera.height) for view, camera in cameras.items()}
         return self.views.fitted(sizes, self._who).model_copy(update={"cameras": names})
 
-    def _remembered(self, features: Tensor, time: int) -> Tensor | None:
-        """The features of the earlier image, if there was one; those of a time are kept."""
+    def _remembered(self, features: Tensor, time: int) -> tuple[Tensor, float] | None:
+        """The features of the earlier image and its age in seconds, if there was one; those of a
+        time are kept."""
         history = self.model.config.history
         if history is None:
             return None
-        wanted = time - history * 1e6
-        there = [one for one in self._seen if abs(one - wanted) < history * 0.5e6]
-        earlier = self._seen[min(there, key=lambda one: abs(one - wanted))] if there else None
+        ages = {1e-6 * (time - one): kept for one, kept in self._seen.items()}
+        age = self._age(tuple(ages))
         # A second look at a moment, such as at a disturbed image, changes no memory of it.
         self._seen.setdefault(time, features)
         self._seen = {one: kept for one, kept in self._seen.items() if one > time - 1.6e6 * history}
-        return earlier
+        return None if age is None else (ages[age], age)
+
+    def _age(self, ages: Sequence[float]) -> float | None:
+        """Which of the ages of the images that were seen is nearest to the history; None where all
+        are more than half of it off."""
+        history = self.model.config.history or 0.0
+        there = [one for one in ages if abs(one - history) <= 0.5 * history + 1e-6]
+        return min(there, key=lambda one: abs(one - history)) if there else None
 
     @torch.no_grad()
     def judge(
-        self, stitched: Image, status: Float32Array, earlier: Image | None = None
+        self, seen: Sequence[Image], status: Float32Array, every: float = 0.5
     ) -> GtrsDecision:
         """Score the vocabulary against pictures, without a rollout.
 
         Args:
-            stitched: (H, W, 3) uint8, see `ViewLayout.stitch`.
+            seen: (H, W, 3) uint8 pictures, see `ViewLayout.stitch`, the present one last; earlier
+                ones matter to a model with a history alone.
             status: (8,), see `ego_status`.
-            earlier: the picture `history` seconds earlier, for a model that looks at it.
+            every: seconds between the pictures.
 
         Raises:
             InputError: the network's answer is not finite.
         """
-        images = [one for one in (stitched, earlier) if one is not None]
-        now, *before = self._features(images).split(1)
-        seen = before[0] if before else None
-        return self._scored(now, status, self._possible(status), self.weights, seen)
+        ages = {every * back: one for back, one in enumerate(reversed(seen)) if back}
+        age = self._age(tuple(ages)) if self.model.config.history else None
+        now, *before = self._features([seen[-1], *([] if age is None else [ages[age]])]).split(1)
+        earlier = None if age is None else (before[0], age)
+        return self._scored(now, status, self._possible(status), self.weights, earlier)
 
     def _possible(self, status: Float32Array) -> Trajectories:
         if isinstance(self.vocabulary, MotionPrimitives):
@@ -317,11 +326,12 @@ class GtrsPlanner(BasePlanner):
         status: Float32Array,
         trajectories: Trajectories,
         weights: ScoreWeights,
-        earlier: Tensor | None,
+        earlier: tuple[Tensor, float] | None,
     ) -> GtrsDecision:
         device = self.model.device
+        before = () if earlier is None else (earlier[0], torch.tensor([earlier[1]], device=device))
         logits = self.model.score(
-            self.model.look(features, earlier),
+            self.model.look(features, *before),
             torch.from_numpy(status)[None].to(device),
             torch.from_numpy(trajectories).to(device),
         )

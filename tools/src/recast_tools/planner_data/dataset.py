@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import shutil
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import cache, partial
 from pathlib import Path
@@ -39,6 +39,7 @@ from recast_tools.planner_training.samples import (
     CLUES,
     COLUMNS,
     DRIVER_FOLDER,
+    EVERY,
     MEND,
     RECORD_FILE,
     VERSION,
@@ -159,6 +160,7 @@ def make_world_samples(
             )
         driver.begin(rng)
         with_twins, before, twin_before = bool(rng.uniform() < _TWINS), -1, -1
+        seen: list[Image] = []
         while drive is not None and not written.full:
             situation = drive.situation(record.speeds, rng)
             if situation is None:
@@ -169,7 +171,7 @@ def make_world_samples(
             )
             if targets.total.max() <= 0.0:  # nothing helps any more: not even the expert knows
                 break
-            seen = None if before < 0 else written.samples[before].image
+            seen.append(image)
             before = written.add(sample, before)
             if with_twins and situation.actor is not None and not written.full:
                 alone, in_sight = situation.without_actor(), sample.clues[0] > 0
@@ -186,7 +188,7 @@ class SampleWriter:
 
     Attributes:
         twins: for each the index of the one that differs in the vehicle alone, or -1.
-        before: for each the index of the one that was seen a second earlier, or -1.
+        before: for each the index of the one before it in the drive, or -1.
     """
 
     def __init__(self, room: int) -> None:
@@ -233,7 +235,7 @@ class Driver:
     def choose(
         self,
         sample: Sample,
-        before: Image | None,
+        seen: Sequence[Image],
         possible: NDArray[np.float32],
         targets: TrajectoryTargets,
         rng: np.random.Generator,
@@ -241,14 +243,14 @@ class Driver:
         """The trajectory (40, 3) to be followed from a sample, at its first speed.
 
         Args:
-            before: the image a second earlier.
+            seen: the images of the drive, the present one last.
             possible: (L, 40, 3) what the expert chooses from.
             targets: their scores.
         """
         if self._sees:
             assert self._planner is not None
-            seen = self._planner.judge(sample.image, sample.status[0], before)
-            return seen.driven(self._planner.weights.blended).astype(np.float32)
+            found = self._planner.judge(seen, sample.status[0], EVERY)
+            return found.driven(self._planner.weights.blended).astype(np.float32)
         if rng.uniform() < _MISTAKEN:
             in_lane = np.flatnonzero((targets.scores[[1, 4, 5]] > 0).all(axis=0))
             if len(in_lane):

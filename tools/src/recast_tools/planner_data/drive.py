@@ -1,8 +1,8 @@
 """Drives through a synthetic world, whose moments become samples.
 
 A planner learns from the states that it comes to (DAgger, Ross et al. 2011): from where a run
-starts, an expert or a planner drives, now and then wrongly, and each second is a sample. So gap and
-speeds belong together: a car that is close ahead mostly drives as fast as the ego.
+starts, an expert or a planner drives, now and then wrongly, and each half second is a sample. So
+gap and speeds belong together: a car that is close ahead mostly drives as fast as the ego.
 """
 
 from __future__ import annotations
@@ -22,11 +22,12 @@ from recast.simulation import Advancing, CutIn, Oncoming, StartSituation, Statio
 from recast.simulation.actor_motion import DEFAULT_LANE_OFFSET, ScriptMotion, neighbour_lateral
 from recast.synthetic import world
 from recast_tools.planner_data.stage import SampleStage
+from recast_tools.planner_training.samples import EVERY
 
-MOMENTS = 8
-"""Samples of a drive at most, a second apart."""
-_STEPS = 10  # of 0.1 s between them
+MOMENTS = 12
+"""Samples of a drive at most, half a second apart: as often as a planner plans."""
 _DT = 0.1
+_STEPS = round(EVERY / _DT)
 _TRIES = 60
 _SHARES = {
     "ordinary": 0.34,
@@ -52,7 +53,7 @@ _OTHER_SPEEDS = (0.85, 1.15)
 _LOST = 1.8
 """Metres beside the route, beyond which standing still may be best: no example of driving."""
 _ROAD_AHEAD_SECONDS, _ROAD_AHEAD_LEAST = 4.5, 25.0
-_STANDING, _STANDING_MOMENTS = 0.3, 2
+_STANDING, _STANDING_MOMENTS = 0.3, 4
 """m/s, and moments that a drive goes on below it: the next ones would show the same."""
 
 
@@ -92,7 +93,7 @@ class SampleSituation:
 
 
 class SampleDrive:
-    """A drive in a stage, one second at a time.
+    """A drive in a stage, half a second at a time.
 
     Args:
         kind: what happens, a key of the shares.
@@ -143,7 +144,7 @@ class SampleDrive:
         return None if touched(state, found.obstacles, PACIFICA) else found
 
     def go(self, trajectory: Array) -> None:
-        """Follow a trajectory (40, 3) for a second."""
+        """Follow a trajectory (40, 3) to the next moment."""
         poses = plan_to_poses(self.state[ego.POSE], np.asarray(trajectory, np.float64))
         self.state = track(self.state, poses, _STEPS)[-1]
         self._stood += bool(self.state[ego.VX] < _STANDING)

@@ -134,8 +134,8 @@ def _choose(
     for first in range(0, len(indices), _BATCH):
         part, seen = indices[first : first + _BATCH], pictures[first : first + _BATCH]
         images = [task.picture(index) for index in seen]
-        known = task.store.before[seen] >= 0
-        batch = task.gather(part, FIRST_SPEED, np.zeros(len(part), np.bool_), images, known)
+        ages = np.array([task.age(index) for index in seen])
+        batch = task.gather(part, FIRST_SPEED, np.zeros(len(part), np.bool_), images, ages)
         logits = task.logits(task.look(batch), batch)
         terms = training_loss(logits, batch.targets, batch.trajectories, batch.demonstration)
         scored = final_score(logits, weights, batch.calm)

@@ -49,6 +49,8 @@ CLUES = (
 """What a picture tells, beside the scores: whether the vehicle placed is in sight, where its middle
 is and how it is turned (ego frame); how far the ego is off the route, to the left, and turned
 against it; how far to the left the route is 10, 20 and 30 m on. Metres and radians."""
+EVERY = 0.5
+"""Seconds between the samples of a drive."""
 COLUMNS = 32
 """Columns of a picture of which is told what they show, 16 pixels wide each."""
 HELD_OUT_EVERY = 10
@@ -97,6 +99,7 @@ class DatasetRecord(Record):
         seed: seed of everything random; a world's samples depend on it and on the world's number
             alone.
         per_world: number of samples of each world.
+        every: seconds between the samples of a drive.
         speeds: number of ego states of each sample.
         seconds: length of each world's drive in seconds.
         scenes: names of scenes, which the worlds take in turn.
@@ -111,7 +114,8 @@ class DatasetRecord(Record):
     format: Literal["recast-planner-dataset"] = "recast-planner-dataset"
     version: Literal[6] = VERSION
     seed: int = Field(default=0, ge=0)
-    per_world: int = Field(default=32, ge=2)
+    per_world: int = Field(default=48, ge=2)
+    every: float = Field(default=EVERY, gt=0.0, le=2.0)
     speeds: int = Field(default=2, ge=1)
     seconds: float = Field(default=16.0, ge=14.0, le=20.0)
     scenes: tuple[str, ...] = Field(min_length=1)
@@ -173,7 +177,7 @@ def write_world(
 
     Args:
         twins: number, for each sample, of the one that differs in the vehicle alone, or -1.
-        before: number, for each sample, of the one that was seen a second earlier, or -1.
+        before: number, for each sample, of the one before it in the drive, or -1.
     """
     rows = []
     with atomic_folder(folder) as partial:
@@ -214,13 +218,14 @@ class SampleStore:
         status, scores, best, clues, columns: values of all samples, see `Sample`.
         renderer: (N,) index in `RENDERERS` of what rendered each image.
         twin: (N,) index of the sample that differs in the vehicle alone, or -1.
-        before: (N,) index of the sample that was seen a second earlier, or -1.
+        before: (N,) index of the sample before it in the drive, or -1.
+        every: (N,) seconds between it and the one before.
     """
 
     def __init__(self, *folders: Path) -> None:
         self.folder = folders[0]
         self.record = read_dataset(self.folder)
-        paths = []
+        paths, every = [], []
         for folder in folders:
             record = read_dataset(folder)
             for name in ("speeds", "primitives"):
@@ -232,17 +237,21 @@ class SampleStore:
                 mend = "make them with `recast planner dataset`"
                 raise InputError(folder, "samples", "are missing", mend)
             paths += found
+            every += [record.every] * len(found)
         speeds, each = self.record.speeds, len(self.record.primitives)
         self._images: list[Path] = []
         parts: dict[str, list[np.ndarray]] = {name: [] for name in _SCHEMA.names}
         worlds: list[int] = []
-        for path in paths:
+        self.every = np.zeros(0)
+        for path, seconds in zip(paths, every, strict=True):
             first = len(worlds)
             for name, values in _read_world(path, speeds, each).items():
                 linked = np.where(values < 0, -1, values + first) if name in _LINKS else values
                 parts[name].append(linked)
             self._images += [path / name for name in parts["image"][-1]]
-            worlds += [int(path.name.removeprefix("world-"))] * len(parts["image"][-1])
+            count = len(parts["image"][-1])
+            worlds += [int(path.name.removeprefix("world-"))] * count
+            self.every = np.append(self.every, np.full(count, seconds))
         self.worlds = np.array(worlds)
         whole = {name: np.concatenate(values) for name, values in parts.items() if values}
         self.status, self.scores, self.best = whole["status"], whole["scores"], whole["best"]
@@ -261,6 +270,16 @@ class SampleStore:
         path = self._images[index]
         says = f"{SAMPLES_FILE} beside it"
         return decode(read_bytes(path, _LARGEST), "png", (_SIZE[1], _SIZE[0]), path, says)
+
+    def earlier(self, index: int, history: float) -> dict[float, int]:
+        """The samples before one in its drive, by how many seconds: those that a planner with a
+        history would look at, which are up to half of it off."""
+        found, age, one = {}, 0.0, index
+        while self.before[one] >= 0 and age < 1.5 * history:
+            age, one = age + float(self.every[one]), int(self.before[one])
+            if abs(age - history) <= 0.5 * history + 1e-6:
+                found[round(age, 3)] = one
+        return found
 
     def by_renderer(self) -> dict[str, int]:
         """Number of samples of each renderer."""

@@ -13,7 +13,7 @@ from pydantic import Field, ValidationError
 from torch import Tensor, nn
 from torch.nn import functional
 
-from recast.arrays import Array, Image
+from recast.arrays import Array, BoolArray, Image
 from recast.core.errors import InputError
 from recast.core.files import read_json
 from recast.core.records import Record, validation_error
@@ -73,9 +73,9 @@ class Batch:
 
     Attributes:
         images: (B, 3, H, W) images in [0, 1].
-        earlier: (B, 3, H, W) images a second earlier, where the model looks at them; the present
+        earlier: (B, 3, H, W) earlier images, where the model looks at them; the present
             ones where there are none.
-        known: (B,) bool, whether there are some.
+        age: (B,) seconds by which they are earlier; 0 where there are none.
         status: (B K, 8) status vectors, those of a picture one after another.
         trajectories: (B K, L, 40, 3) trajectories that are scored.
         calm: (B K, L) bool, which of them are `comfortable`.
@@ -87,7 +87,7 @@ class Batch:
 
     images: Tensor
     earlier: Tensor | None
-    known: Tensor
+    age: Tensor
     status: Tensor
     trajectories: Tensor
     calm: Tensor
@@ -102,9 +102,9 @@ class GtrsTask:
 
     Half of a batch is drawn, see `balanced`; the other half are their twins, the same situations
     with or without the vehicle, where there are some, and else other samples. Half of all are
-    mirrored, and all but one in seven altered, see `augment`. Each picture is looked at once and scored at all its
-    speeds, with a part of the primitives that is drawn for the step: twins have the same speeds, so
-    that nothing but the picture tells them apart.
+    mirrored, and all but one in seven altered, see `augment`. Each picture is looked at once and
+    scored at all its speeds, with a part of the primitives that is drawn for the step: twins have
+    the same speeds, so that nothing but the picture tells them apart.
 
     Args:
         store: store of the samples.
@@ -141,27 +141,51 @@ class GtrsTask:
         others = rng.choice(self.indices, len(drawn), replace=False, p=self._chances)
         chosen = np.concatenate([drawn, np.where(twins >= 0, twins, others)])
         mirrored = rng.uniform(size=len(chosen)) < 0.5
-        known = (self.store.before[chosen] >= 0) & (rng.uniform(size=len(chosen)) > _FORGOTTEN)
-        # What one of two twins lacks must not tell it from the other.
-        pairs = known.reshape(2, -1)
-        known = np.where(twins >= 0, pairs.all(axis=0), pairs).ravel()
+        ages = self._drawn_ages(chosen, twins >= 0, rng)
         images = [
-            augment(self.picture(index, bool(there)), rng)
-            for index, there in zip(chosen, known, strict=True)
+            augment(self.picture(index, age), rng) for index, age in zip(chosen, ages, strict=True)
         ]
         scored = vocabulary_dropout(len(self.primitives), self._kept, random.torch).numpy()
         every = np.arange(self.store.status.shape[1])
-        found = self.of(self.gather(chosen, every, mirrored, images, known, scored))
+        found = self.of(self.gather(chosen, every, mirrored, images, ages, scored))
         return StepLoss(sum_of(found), {k: float(v.detach()) for k, v in found.items()})
 
-    def picture(self, index: int, known: bool = True) -> Image:
-        """(H, W, 3) the image of a sample; above the one a second earlier where the model looks at
-        two, or above itself where there is none or it is not `known`."""
+    def _drawn_ages(
+        self, chosen: NDArray[np.int64], paired: BoolArray, rng: np.random.Generator
+    ) -> Array:
+        """(B,) ages of the earlier images, of all that there are; 0 for none, now and then, too.
+
+        What one of two twins lacks must not tell it from the other: they get the same.
+        """
+        there = [set(self._earlier(index)) for index in chosen]
+        half, ages = len(paired), np.zeros(len(chosen))
+        for row, possible in enumerate(there):
+            if row >= half and paired[row - half]:
+                ages[row] = ages[row - half]
+                continue
+            if row < half and paired[row]:
+                possible = possible & there[row + half]
+            if possible and rng.uniform() > _FORGOTTEN:
+                ages[row] = rng.choice(sorted(possible))
+        return ages
+
+    def _earlier(self, index: int) -> dict[float, int]:
+        history = self.model.config.history
+        return {} if history is None else self.store.earlier(index, history)
+
+    def age(self, index: int) -> float:
+        """The age of the earlier image that the planner would look at; 0 without one."""
+        history = self.model.config.history or 0.0
+        return min(self._earlier(index), key=lambda one: abs(one - history), default=0.0)
+
+    def picture(self, index: int, age: float | None = None) -> Image:
+        """(H, W, 3) the image of a sample; above one of an age where the model looks at two, or
+        above itself for age 0. None: of `age`."""
         now = self.store.image(index)
         if self.model.config.history is None:
             return now
-        before = int(self.store.before[index])
-        return np.concatenate([now, self.store.image(before) if known and before >= 0 else now])
+        age = self.age(index) if age is None else age
+        return np.concatenate([now, self.store.image(self._earlier(index)[age]) if age else now])
 
     def gather(
         self,
@@ -169,7 +193,7 @@ class GtrsTask:
         speeds: NDArray[np.int64],
         mirrored: NDArray[np.bool_],
         images: Sequence[NDArray[np.uint8]] | None = None,
-        known: NDArray[np.bool_] | None = None,
+        ages: Array | None = None,
         scored: NDArray[np.int64] | None = None,
     ) -> Batch:
         """Samples as a batch.
@@ -179,14 +203,15 @@ class GtrsTask:
             speeds: (K,) indices of the ego's speeds, the same for all samples.
             mirrored: (B,) whether a sample is taken in the mirror.
             images: pictures instead of those of `picture`.
-            known: (B,) whether they have an earlier image; None for as the samples have.
+            ages: (B,) ages of their earlier images; None for those of `age`.
             scored: (L,) indices of the primitives; None for all.
         """
         store, twice = self.store, self._mirror
         if scored is None:
             scored = np.arange(len(twice))
         pictures = [self.picture(i) for i in chosen] if images is None else list(images)
-        known = store.before[chosen] >= 0 if known is None else known
+        if ages is None:
+            ages = np.array([self.age(index) for index in chosen])
         at = np.ix_(chosen, speeds)
         # Of a mirrored sample a trajectory has the score that its mirror image has in the sample.
         columns = np.where(mirrored[:, None], twice[scored], scored)[:, None, None]
@@ -211,7 +236,7 @@ class GtrsTask:
         return Batch(
             now,
             before[0] if before else None,
-            torch.from_numpy(known),
+            torch.from_numpy(ages).float(),
             torch.from_numpy(status).flatten(0, 1),
             torch.from_numpy(trajectories),
             torch.from_numpy(comfortable(trajectories, status.reshape(len(trajectories), -1))),
@@ -229,7 +254,7 @@ class GtrsTask:
         terms["clues"] = self.reader.loss(self.reader(tokens[:, :count]), batch.clues)
         if batch.earlier is not None:
             terms["columns"] = self.reader.column_loss(
-                tokens[:, count:], batch.columns, batch.known
+                tokens[:, count:], batch.columns, batch.age > 0
             )
         return terms
 
@@ -240,7 +265,7 @@ class GtrsTask:
             # The backbone learns from the present images: a step takes a quarter less.
             with torch.no_grad():
                 earlier = self.model.backbone(batch.earlier)
-        return self.model.look(self.model.backbone(batch.images), earlier, batch.known)
+        return self.model.look(self.model.backbone(batch.images), earlier, batch.age)
 
     def logits(self, tokens: Tensor, batch: Batch) -> dict[str, Tensor]:
         """Logits (B K, L) of every head, from the tokens of `look`."""
