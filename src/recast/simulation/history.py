@@ -268,8 +268,7 @@ def logged_road_users(
     def future(path: Trajectory) -> Array | None:
         if not foretold:
             return None
-        times = range(timestamp_us, int(path.timestamps_us[-1]) + 1, step)
-        return np.array([se2.from_se3(path.at(time)) for time in times])
+        return se2.from_se3(path.at(np.arange(timestamp_us, path.timestamps_us[-1] + 1, step)))
 
     return tuple(
         ActorState(

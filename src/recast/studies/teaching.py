@@ -187,7 +187,9 @@ class _Collector:
     ) -> Plan:
         plan = planner.timed_plan(seen, None)[0]
         try:
-            told = simulator.observe(seen.images, foretold=self.expert.foresees)
+            told = seen
+            if self.expert.foresees:
+                told = simulator.observe(seen.images, foretold=True)
             label = expert.timed_plan(told, None)[0]
         except Exception:
             self.unlabelled += 1

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from typing import Annotated, Literal, Self
 
 import cv2
@@ -93,6 +93,12 @@ class GtrsConfig(Record):
     token_rows: Count = 16
     token_columns: Count = 64
     history: float | None = Field(default=None, gt=0.0, le=4.0)
+
+    def ages(self, there: Iterable[float]) -> list[float]:
+        """Which of the ages of earlier images, seconds, the model looks at, the best one first."""
+        history = self.history or 0.0
+        near = [one for one in there if abs(one - history) <= 0.5 * history + 1e-6]
+        return sorted(near, key=lambda one: abs(one - history)) if history else []
 
     @model_validator(mode="after")
     def _heads_divide_channels(self) -> Self:

@@ -273,18 +273,11 @@ class GtrsPlanner(BasePlanner):
         if history is None:
             return None
         ages = {1e-6 * (time - one): kept for one, kept in self._seen.items()}
-        age = self._age(tuple(ages))
+        looked_at = self.model.config.ages(ages)
         # A second look at a moment, such as at a disturbed image, changes no memory of it.
         self._seen.setdefault(time, features)
         self._seen = {one: kept for one, kept in self._seen.items() if one > time - 1.6e6 * history}
-        return None if age is None else (ages[age], age)
-
-    def _age(self, ages: Sequence[float]) -> float | None:
-        """Which of the ages of the images that were seen is nearest to the history; None where all
-        are more than half of it off."""
-        history = self.model.config.history or 0.0
-        there = [one for one in ages if abs(one - history) <= 0.5 * history + 1e-6]
-        return min(there, key=lambda one: abs(one - history)) if there else None
+        return (ages[looked_at[0]], looked_at[0]) if looked_at else None
 
     @torch.no_grad()
     def judge(
@@ -302,9 +295,9 @@ class GtrsPlanner(BasePlanner):
             InputError: the network's answer is not finite.
         """
         ages = {every * back: one for back, one in enumerate(reversed(seen)) if back}
-        age = self._age(tuple(ages)) if self.model.config.history else None
-        now, *before = self._features([seen[-1], *([] if age is None else [ages[age]])]).split(1)
-        earlier = None if age is None else (before[0], age)
+        looked_at = self.model.config.ages(ages)[:1]
+        now, *before = self._features([seen[-1], *(ages[age] for age in looked_at)]).split(1)
+        earlier = (before[0], looked_at[0]) if looked_at else None
         return self._scored(now, status, self._possible(status), self.weights, earlier)
 
     def _possible(self, status: Float32Array) -> Trajectories:

@@ -51,6 +51,8 @@ is and how it is turned (ego frame); how far the ego is off the route, to the le
 against it; how far to the left the route is 10, 20 and 30 m on. Metres and radians."""
 EVERY = 0.5
 """Seconds between the samples of a drive."""
+_LONGEST = 6.0
+"""Seconds: no planner looks further back."""
 COLUMNS = 32
 """Columns of a picture of which is told what they show, 16 pixels wide each."""
 HELD_OUT_EVERY = 10
@@ -242,7 +244,7 @@ class SampleStore:
         self._images: list[Path] = []
         parts: dict[str, list[np.ndarray]] = {name: [] for name in _SCHEMA.names}
         worlds: list[int] = []
-        self.every = np.zeros(0)
+        apart: list[float] = []
         for path, seconds in zip(paths, every, strict=True):
             first = len(worlds)
             for name, values in _read_world(path, speeds, each).items():
@@ -251,8 +253,8 @@ class SampleStore:
             self._images += [path / name for name in parts["image"][-1]]
             count = len(parts["image"][-1])
             worlds += [int(path.name.removeprefix("world-"))] * count
-            self.every = np.append(self.every, np.full(count, seconds))
-        self.worlds = np.array(worlds)
+            apart += [seconds] * count
+        self.worlds, self.every = np.array(worlds), np.array(apart)
         whole = {name: np.concatenate(values) for name, values in parts.items() if values}
         self.status, self.scores, self.best = whole["status"], whole["scores"], whole["best"]
         self.clues, self.columns, self.renderer = (
@@ -271,14 +273,12 @@ class SampleStore:
         says = f"{SAMPLES_FILE} beside it"
         return decode(read_bytes(path, _LARGEST), "png", (_SIZE[1], _SIZE[0]), path, says)
 
-    def earlier(self, index: int, history: float) -> dict[float, int]:
-        """The samples before one in its drive, by how many seconds: those that a planner with a
-        history would look at, which are up to half of it off."""
+    def earlier(self, index: int) -> dict[float, int]:
+        """The samples before one in its drive, by how many seconds."""
         found, age, one = {}, 0.0, index
-        while self.before[one] >= 0 and age < 1.5 * history:
+        while self.before[one] >= 0 and age < _LONGEST:
             age, one = age + float(self.every[one]), int(self.before[one])
-            if abs(age - history) <= 0.5 * history + 1e-6:
-                found[round(age, 3)] = one
+            found[round(age, 3)] = one
         return found
 
     def by_renderer(self) -> dict[str, int]:

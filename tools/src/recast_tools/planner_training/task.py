@@ -157,7 +157,7 @@ class GtrsTask:
 
         What one of two twins lacks must not tell it from the other: they get the same.
         """
-        there = [set(self._earlier(index)) for index in chosen]
+        there = [set(self.model.config.ages(self.store.earlier(index))) for index in chosen]
         half, ages = len(paired), np.zeros(len(chosen))
         for row, possible in enumerate(there):
             if row >= half and paired[row - half]:
@@ -169,14 +169,9 @@ class GtrsTask:
                 ages[row] = rng.choice(sorted(possible))
         return ages
 
-    def _earlier(self, index: int) -> dict[float, int]:
-        history = self.model.config.history
-        return {} if history is None else self.store.earlier(index, history)
-
     def age(self, index: int) -> float:
         """The age of the earlier image that the planner would look at; 0 without one."""
-        history = self.model.config.history or 0.0
-        return min(self._earlier(index), key=lambda one: abs(one - history), default=0.0)
+        return next(iter(self.model.config.ages(self.store.earlier(index))), 0.0)
 
     def picture(self, index: int, age: float | None = None) -> Image:
         """(H, W, 3) the image of a sample; above one of an age where the model looks at two, or
@@ -185,7 +180,9 @@ class GtrsTask:
         if self.model.config.history is None:
             return now
         age = self.age(index) if age is None else age
-        return np.concatenate([now, self.store.image(self._earlier(index)[age]) if age else now])
+        return np.concatenate(
+            [now, self.store.image(self.store.earlier(index)[age]) if age else now]
+        )
 
     def gather(
         self,
@@ -214,8 +211,8 @@ class GtrsTask:
             ages = np.array([self.age(index) for index in chosen])
         at = np.ix_(chosen, speeds)
         # Of a mirrored sample a trajectory has the score that its mirror image has in the sample.
-        columns = np.where(mirrored[:, None], twice[scored], scored)[:, None, None]
-        scores = unpacked(np.take_along_axis(store.scores[at], columns, axis=-1))
+        alike = np.where(mirrored[:, None], twice[scored], scored)[:, None, None]
+        scores = unpacked(np.take_along_axis(store.scores[at], alike, axis=-1))
         status, best, clues = store.status[at], store.best[at].astype(np.int64), store.clues[chosen]
         columns = store.columns[chosen]
         for row in np.flatnonzero(mirrored):
@@ -350,7 +347,9 @@ class ClueReader(nn.Module):
         each = columns.shape[1] // tokens.shape[1]
         wanted = columns.unflatten(1, (-1, each))
         nearest = wanted[..., 0] * (10.0 - wanted[..., 1])
-        wanted = wanted.gather(2, nearest.argmax(dim=2)[..., None, None].expand(-1, -1, 1, 6))
+        wanted = wanted.gather(
+            2, nearest.argmax(dim=2)[..., None, None].expand(-1, -1, 1, len(COLUMN_VALUES))
+        )
         wanted = wanted.squeeze(2) / self.column_scales
         found, there = self.column(tokens), wanted[..., 0]
         counted = there[..., None].repeat(1, 1, found.shape[-1])
