@@ -23,6 +23,7 @@ from recast.planning.gtrs.config import (
     Pace,
     PrimitivePath,
 )
+from recast.planning.gtrs.planner import GtrsDecision
 from recast.planning.gtrs.scores import VOCABULARY_ONLY, comfortable
 from recast.planning.types import ego_status
 
@@ -125,6 +126,29 @@ def test_what_is_near_the_best_is_blended_in(
     weights = VOCABULARY_ONLY.model_copy(update={"blended": 1e3})
     blends = GtrsPlanner(planner.model, PRIMITIVES, planner.views, weights=weights)
     np.testing.assert_allclose(blends.plan(observation).waypoints, mean, atol=1e-4)
+
+
+def test_paces_are_blended_and_swerves_are_not() -> None:
+    """Three paces of a bend, and one as long that ends in the next lane; of a bad score nothing."""
+    length, bend = np.array([40.0, 34.0, 28.0, 40.0, 38.0]), np.linspace(0.0, 1.0, 41)[1:]
+    x = length[:, None] * bend
+    y = 0.004 * x**2 + np.array([0.0, 0.0, 0.0, 3.6, 0.0])[:, None] * bend
+    trajectories = np.stack([x, y, 0.008 * x], axis=2).astype(np.float32)
+    scores = np.array([0.0, -0.5, -1.0, -0.1, -50.0], np.float32)
+    weights = np.exp([0.0, -0.5, -1.0])
+    mean = np.average(trajectories[:3], axis=0, weights=weights)
+    decision = GtrsDecision(trajectories, scores, {})
+    np.testing.assert_allclose(decision.driven(12.5), mean, atol=1e-5)
+    calm = np.array([True, True, False, True, True])
+    np.testing.assert_array_equal(replace(decision, calm=calm).driven(12.5), decision.driven(12.0))
+    np.testing.assert_array_equal(replace(decision, calm=~calm).driven(12.5), decision.driven(12.5))
+    weights[2] = 0.0  # ends 12.4 m behind
+    mean = np.average(trajectories[:3], axis=0, weights=weights)
+    np.testing.assert_allclose(decision.driven(12.0), mean, atol=1e-5)
+    standing, along, beside = np.zeros((3, 40, 3), np.float32)
+    along[:, 0] = beside[:, 1] = np.linspace(0.0, 0.1, 40)
+    decision = GtrsDecision(np.stack([standing, along, beside]), np.zeros(3, np.float32), {})
+    np.testing.assert_allclose(decision.driven(0.2), along / 2.0, atol=1e-7)
 
 
 def test_paths_without_a_mirror_image_and_nothing_to_combine_are_refused() -> None:

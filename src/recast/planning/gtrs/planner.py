@@ -19,7 +19,7 @@ from pydantic import Field
 from safetensors.torch import save
 from torch import Tensor
 
-from recast.arrays import Array, Float32Array, Image
+from recast.arrays import Array, BoolArray, Float32Array, Image
 from recast.cameras import CameraMount
 from recast.cameras.mounts import choose_views, directions
 from recast.core.errors import InputError
@@ -57,6 +57,11 @@ from recast.planning.types import (
 
 _DT = 0.1
 
+_SHORT = 3.0
+"""Metres of a plan below which its end does not say where the road leads: that is ahead, then."""
+_BESIDE = 0.25
+"""Of what is blended along the road, what is blended beside it: paces are, swerves are not."""
+
 
 @dataclass(frozen=True)
 class GtrsDecision:
@@ -69,12 +74,14 @@ class GtrsDecision:
         sub_scores: (N,) expected sub-scores in [0, 1], by head; of "imi", the probability that a
             human drives the trajectory.
         first: index from which on trajectories may be chosen; those before are only scored.
+        calm: (N,) which are `comfortable`; None where the weights do not ask for it.
     """
 
     trajectories: Float32Array
     scores: Float32Array
     sub_scores: Mapping[str, Float32Array]
     first: int = 0
+    calm: BoolArray | None = None
 
     def order(self) -> NDArray[np.int64]:
         """Indices that may be chosen, best first; equal scores in the vocabulary's order."""
@@ -89,8 +96,14 @@ class GtrsDecision:
         """(40, 3) the best trajectory, or the mean of those near it, see `ScoreWeights`."""
         best = self.best
         ends = self.trajectories[:, -1, :2].astype(np.float64)
-        near = np.linalg.norm(ends - ends[best], axis=1) < blended
+        length = float(np.linalg.norm(ends[best]))
+        ahead = ends[best] / length if length > _SHORT else np.array([1.0, 0.0])
+        along = (ends - ends[best]) @ ahead
+        beside = (ends - ends[best]) @ np.array([-ahead[1], ahead[0]])
+        near = (np.abs(along) < blended) & (np.abs(beside) < _BESIDE * blended)
         near[: self.first] = False
+        if self.calm is not None and self.calm[best]:
+            near &= self.calm  # a little of what jolts would jolt
         near[best] = True  # alone where nothing is blended, whatever else ends there
         weights = np.exp(self.scores[near].astype(np.float64) - float(self.scores[best]))
         return np.einsum("n,ntc->tc", weights / weights.sum(), self.trajectories[near])
@@ -328,15 +341,14 @@ class GtrsPlanner(BasePlanner):
             torch.from_numpy(status)[None].to(device),
             torch.from_numpy(trajectories).to(device),
         )
-        calm = None
-        if weights.comfort > 0:
-            calm = torch.from_numpy(comfortable(trajectories, status)).to(device)
-        scores = final_score(logits, weights, calm)
+        calm = comfortable(trajectories, status) if weights.comfort > 0 else None
+        known = None if calm is None else torch.from_numpy(calm).to(device)
+        scores = final_score(logits, weights, known)
         sub_scores = {
             name: _numpy(value.softmax(-1) if name == IMITATION else value.sigmoid())
             for name, value in logits.items()
         }
-        decision = GtrsDecision(trajectories, _numpy(scores), sub_scores)
+        decision = GtrsDecision(trajectories, _numpy(scores), sub_scores, calm=calm)
         if not np.isfinite(decision.scores).all():
             bad = ~np.isfinite(decision.scores)
             raise InputError(

@@ -106,10 +106,12 @@ class ScoreWeights(Record):
         time_to_collision, progress, lane_keeping: weights within that sum.
         comfort: weight, within that sum too, of trajectories that are `comfortable`; 0 in the
             released modes.
-        blended: metres; what is driven is the mean of the trajectories that end nearer than this to
-            the best, weighted by exp S. 0: the best itself, as in the released modes. Only for
-            trajectories that begin alike, see `MotionPrimitives`: there the next best is so near
-            that a grey level may decide between two, and the mean hardly moves.
+        blended: metres; what is driven is the mean, weighted by exp S, of the trajectories that end
+            nearer than this to the best along the road, and than a quarter of it beside. 0: the
+            best itself, as in the released modes. Only for trajectories that begin alike, see
+            `MotionPrimitives`: there the next best is so near that a grey level may decide between
+            two, and the mean hardly moves. Between braking and going on it brakes a little. If the
+            best is comfortable, what is not is left out.
     """
 
     imitation: NonNegativeFloat
