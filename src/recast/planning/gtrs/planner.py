@@ -58,9 +58,9 @@ from recast.planning.types import (
 _DT = 0.1
 
 _SHORT = 3.0
-"""Metres of a plan below which its end does not say where the road leads: that is ahead, then."""
+"""Length of a plan, metres, below which its end does not tell the road's direction: x is taken."""
 _BESIDE = 0.25
-"""Of what is blended along the road, what is blended beside it: paces are, swerves are not."""
+"""Distance beside the road as a share of that along it: paces are blended, swerves are not."""
 
 
 @dataclass(frozen=True)

@@ -27,8 +27,8 @@ from recast_tools.planner_training.samples import EVERY
 MOMENTS = 12
 """Samples of a drive at most, half a second apart: as often as a planner plans."""
 _BRIEF, _BRIEF_MOMENTS = 0.5, 4
-"""Share of the drives with an actor that end after so many moments: those in which it is decided
-whether a cut-in ends well. In a run each is one in six; in drives of twelve it was one in fifty."""
+"""Share of the drives with an actor that end early, and after how many moments: those in which it
+is decided whether a cut-in ends well. Their share of the samples was too small to learn from."""
 _DT = 0.1
 _STEPS = round(EVERY / _DT)
 _TRIES = 60
