@@ -82,7 +82,8 @@ def test_collisions_are_those_of_pdm_s_own_loops(seed: int) -> None:
         for o, s in zip(obstacles, still, strict=True)
     ]
     safe, clear = collisions(states, known, PACIFICA)
-    np.testing.assert_array_equal(safe, at_fault_collisions(states, corners, areas, seen).score)
+    blamed = at_fault_collisions(states, corners, areas, seen).score
+    np.testing.assert_array_equal(np.where(safe == 0.5, 1.0, safe), blamed)
     np.testing.assert_array_equal(clear, time_to_collision(states, corners, areas, seen).score)
     assert 0 < clear.sum() < len(clear)
 
@@ -125,6 +126,31 @@ def test_behind_a_standing_car_the_best_stops_before_it() -> None:
     state = make_state(np.zeros(3))
     standing = score_trajectories(possible(state), state, road, [moving(9.0)])
     assert not possible(state)[standing.best].any()
+
+
+def test_to_stop_before_an_oncoming_car_does_is_better_than_to_be_run_into_standing() -> None:
+    # From 28 m on it comes 12 m towards the ego, and stops: there is room if the ego brakes now.
+    state = make_state(np.zeros(3), 6.0)
+    car = moving(28.0)
+    poses = car.poses.copy()
+    poses[:, 0] -= np.minimum(0.2 * np.arange(FORESEEN + 1), 12.0)
+    found = score_trajectories(possible(state), state, straight_road(), [replace(car, poses=poses)])
+    assert set(np.unique(found.scores[0])) == {0, 128, 255}
+    assert found.scores[0, found.best] == 255
+    standing = make_state(np.zeros(3))
+    poses[:, 0] -= 10.0  # now nothing helps, but standing is half as bad
+    found = score_trajectories(
+        possible(standing), standing, straight_road(), [replace(car, poses=poses)]
+    )
+    assert found.scores[0, found.best] == 128 and not possible(standing)[found.best].any()
+
+
+def test_where_nothing_helps_the_best_brakes_hardest() -> None:
+    state = make_state(np.zeros(3), 14.0)
+    found = score_trajectories(possible(state), state, straight_road(), [moving(9.0)])
+    assert found.total.max() == 0.0
+    metres = possible(state)[:, -1, 0]
+    assert metres[found.best] == pytest.approx(metres.min(), abs=0.01)
 
 
 def test_of_two_stops_that_are_as_safe_the_comfortable_one_is_better() -> None:

@@ -25,8 +25,10 @@ from recast_tools.planner_data.dataset import FIRST_SEED, make_dataset
 from recast_tools.planner_data.drive import MOMENTS, SampleDrive, begin_drive
 from recast_tools.planner_data.stage import SampleStage, make_stage
 from recast_tools.planner_training.samples import (
+    DRIVE_KINDS,
     RENDERERS,
     DatasetRecord,
+    DriveKind,
     Renderer,
     SampleStore,
     world_folder,
@@ -42,14 +44,23 @@ def stage() -> SampleStage:
     return make_stage("roundabout-approach", FIRST_SEED, 14.0)
 
 
-def drives(stage: SampleStage, count: int) -> list[SampleDrive]:
-    found = [begin_drive(stage, np.random.default_rng(seed)) for seed in range(count)]
+def drives(
+    stage: SampleStage, count: int, kinds: tuple[DriveKind, ...] = DRIVE_KINDS
+) -> list[SampleDrive]:
+    found = [begin_drive(stage, kinds, np.random.default_rng(seed)) for seed in range(count)]
     return [one for one in found if one is not None]
+
+
+def test_drives_are_of_the_kinds_that_are_asked_for(stage: SampleStage) -> None:
+    found = [one.kind for one in drives(stage, 30, ("oncoming", "cut-in"))]
+    assert set(found) == {"oncoming", "cut-in"}
 
 
 def test_situations_are_possible_and_follow_the_generator(stage: SampleStage) -> None:
     for seed in range(6):
-        drive, again = (begin_drive(stage, np.random.default_rng(seed)) for _ in range(2))
+        drive, again = (
+            begin_drive(stage, DRIVE_KINDS, np.random.default_rng(seed)) for _ in range(2)
+        )
         assert drive is not None
         assert again is not None
         np.testing.assert_array_equal(drive.state, again.state)

@@ -3,7 +3,8 @@
 Sub-scores of every trajectory where it is known what comes, and the best of them. Collisions are
 scored for hundreds of trajectories at once, against known futures: the same verdicts as
 `recast.planning.pdm.scorer` gives where the ego is always to blame for contacts from the side (its
-areas say "multiple lanes" everywhere), by arithmetic on boxes instead of tests of polygons.
+areas say "multiple lanes" everywhere), by arithmetic on boxes instead of tests of polygons; but
+to be run into while standing, up to 2 s after a trajectory's end, is half a fault.
 """
 
 from __future__ import annotations
@@ -41,11 +42,13 @@ from recast.planning.types import (
     ego_status,
 )
 
-FORESEEN = WAYPOINTS + 9
-"""Steps that obstacles are known ahead: the time to collision looks 0.9 s further."""
+FORESEEN = WAYPOINTS + 20
+"""Steps that obstacles are known ahead: the time to collision looks 0.9 s beyond a trajectory, and
+where it ends nothing shall come to in 2 s."""
 
 _LOOK_AHEAD = np.array([0, 3, 6, 9])
-_STOPPED, _STOPPED_TTC, _BEHIND = 0.05, 0.005, np.deg2rad(150)
+_STOPPED, _STOPPED_TTC = 0.05, 0.005
+_BEHIND, _AHEAD = np.deg2rad(150), np.deg2rad(30)
 SCORED = METRICS[:6]
 """Heads with targets of their own, in their order; the last one, traffic lights, is always 1."""
 STRIDE = 2
@@ -62,6 +65,10 @@ _LEAST_PROGRESS = 5.0
 _BLOCKED = 4.0
 """Metres up to which it is better to stand than to creep closer."""
 _FULL = 255
+_RUN_INTO, _AS_GOOD_AS_STANDING = 0.5, 0.5
+"""No-collision score where the ego already stands when an obstacle ahead or beside drives into it:
+blameless by nuPlan's rule, yet to have stopped earlier is better. And m/s below which it stands at
+the end of a trajectory: the tracker creeps to a standstill."""
 _DT = 0.1
 _SLOWEST = 3.0
 """m/s wanted where the log drove slower: it starts at a crawl in places."""
@@ -146,12 +153,13 @@ def score_trajectories(
     """Drive every trajectory with the LQR tracker and score it by PDM's rules.
 
     Obstacles move as they truly will, not at constant velocity. Beyond PDM: touching an obstacle
-    sideways is always the ego's fault, since the closed loop counts every collision. Progress is
-    compared with what the wanted speeds allow, or with the best that gets through in its lane if
-    that is less; more is as bad as less, so that braking beats swerving. Lane keeping is NAVSIM's,
-    not more than 0.5 m off for 2 s running, and never more than 1 m off where it was not. Comfort
-    is that of the trajectory and of the path driven by it, see `comfortable`: of two that are as
-    safe, the comfortable one is better.
+    sideways is always the ego's fault, and being run into from ahead while standing half a fault,
+    since the closed loop counts every collision. Progress is compared with what the wanted speeds
+    allow, or with the best that gets through in its lane if that is less; more is as bad as less,
+    so that braking beats swerving. Lane keeping is NAVSIM's, not more than 0.5 m off for 2 s
+    running, and never more than 1 m off where it was not. Comfort is that of the trajectory and of
+    the path driven by it, see `comfortable`: of two that are as safe, the comfortable one is
+    better. Where every trajectory scores 0, the first one is the best: it brakes hardest.
 
     Areas and lanes are looked up every 0.2 s.
 
@@ -246,11 +254,13 @@ class TargetObstacle:
 def collisions(
     states: Array, obstacles: Sequence[TargetObstacle], vehicle: VehicleParameters, dt: float = 0.1
 ) -> tuple[Array, Array]:
-    """NC and TTC (P,), 0 or 1, of simulated states (P, 41, 11).
+    """NC (P,), 0, 0.5 or 1, and TTC (P,), 0 or 1, of simulated states (P, 41, 11).
 
-    Each obstacle counts by its first contact: not the ego's fault where the ego stands or is hit
-    from behind (more than 150 degrees off its heading), and ignored from then on. For TTC the box
-    is moved on at constant velocity by 0, 0.3, 0.6 and 0.9 s.
+    Each obstacle counts by its first contact: by half where the ego stands, since it could have
+    stopped earlier; not at all where it is hit from behind (more than 150 degrees off its heading);
+    and ignored from then on. By half, too, what comes later to where the ego ends: if it stands
+    there, or if it comes from ahead (less than 30 degrees off). For TTC the box is moved on at
+    constant velocity by 0, 0.3, 0.6 and 0.9 s.
     """
     count, steps = states.shape[:2]
     safe, clear = np.ones(count), np.ones(count)
@@ -266,12 +276,11 @@ def collisions(
     places = boxes.reshape(-1, 3)[:, :2].T.copy()  # reductions along long rows are fast
     low, high = places.min(axis=1), places.max(axis=1)
     for obstacle in obstacles:
-        there = obstacle.poses[when]  # (T, F, 3)
         reach = (np.hypot(vehicle.length, vehicle.width) + np.hypot(*obstacle.size[:2])) / 2
-        points = there[..., :2]
+        points = obstacle.poses[:, :2]
         if not ((points >= low - reach) & (points <= high + reach)).all(axis=-1).any():
             continue  # no box comes close to it
-        size = (vehicle.length, vehicle.width)
+        size, there = (vehicle.length, vehicle.width), obstacle.poses[when]  # (T, F, 3)
         touching = bev_touching(boxes, size, there, obstacle.size)
         offset = there[..., :2] - poses[:, :, None, :2]
         bearing = np.abs(
@@ -281,8 +290,14 @@ def collisions(
         first = now.argmax(axis=1)
         # The obstacle's speed now decides, as in PDM.
         standing = np.hypot(*(obstacle.poses[1, :2] - obstacle.poses[0, :2])) / dt <= _STOPPED
-        fault = now.any(axis=1) & (speed[rows, first] > _STOPPED)
-        safe[fault & (standing | (bearing[rows, first, 0] <= _BEHIND))] = 0.0
+        met = now.any(axis=1) & (standing | (bearing[rows, first, 0] <= _BEHIND))
+        of_first = np.where(speed[rows, first] > _STOPPED, 0.0, _RUN_INTO)
+        safe[met] = np.minimum(safe[met], of_first[met])
+        within = np.where(speed[:, -1] < _AS_GOOD_AS_STANDING, _BEHIND, _AHEAD)
+        waits = np.flatnonzero(~now.any(axis=1) & (bearing[:, -1, 0] <= within))
+        later = bev_touching(boxes[waits, -1:, 0], size, obstacle.poses[steps:], obstacle.size)
+        blamed = waits[later.any(axis=1)]
+        safe[blamed] = np.minimum(safe[blamed], _RUN_INTO)
         soon = (touching & (speed >= _STOPPED_TTC)[..., None]).reshape(count, -1)
         first = soon.argmax(axis=1)
         clear[soon.any(axis=1) & (bearing.reshape(count, -1)[rows, first] <= _BEHIND)] = 0.0

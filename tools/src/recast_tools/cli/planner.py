@@ -46,6 +46,11 @@ class Dataset:
     """What shows the drives in reconstructed worlds, in turn."""
     street_steps: int = 1000
     """Number of training steps of each reconstructed street."""
+    kinds: tuple[
+        Literal["ordinary", "leading", "stationary", "oncoming", "through", "cut-in", "advancing"],
+        ...,
+    ] = ("ordinary", "leading", "stationary", "oncoming", "through", "cut-in", "advancing")
+    """What happens in the drives; without the others, these keep their proportions."""
     store: Annotated[
         str | None, shared.option(shared.STORE_HELP, "store/ beside the folder of the samples")
     ] = None
@@ -73,6 +78,7 @@ class Dataset:
                 reconstructed=self.reconstructed,
                 street_steps=self.street_steps,
                 renderers=self.renderers,
+                kinds=self.kinds,
                 driver=""
                 if driver is None
                 else hash_files(driver, [driver / WEIGHTS_FILE, driver / CONFIG_FILE]),

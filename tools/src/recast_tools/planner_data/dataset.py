@@ -149,7 +149,7 @@ def make_world_samples(
         paint = traced(oracle, noise)
         if shown is not None and renderer != "oracle":
             paint = shown.painter(renderer)
-        drive = begin_drive(stage, rng)
+        drive = begin_drive(stage, record.kinds, rng)
         drives += 1
         if drives > _MOST_DRIVES * record.per_world:
             raise InputError(
@@ -169,8 +169,6 @@ def make_world_samples(
             sample, possible, targets = describe(
                 stage, situation, image, renderer, record.primitives
             )
-            if targets.total.max() <= 0.0:  # nothing helps any more: not even the expert knows
-                break
             seen.append(image)
             before = written.add(sample, before)
             if with_twins and situation.actor is not None and not written.full:
@@ -178,6 +176,8 @@ def make_world_samples(
                 image = render(paint, stage, alone) if in_sight else image
                 twin = describe(stage, alone, image, renderer, record.primitives)[0]
                 twin_before = written.add(twin, twin_before, before if in_sight else -1)
+            if targets.total.max() <= 0.0:  # nothing helps any more; the best brakes hardest
+                break
             drive.go(driver.choose(sample, seen, possible, targets, rng).astype(np.float64))
     folder = world_folder(out, number)
     write_world(folder, written.samples, written.twins, written.before, record.primitives)

@@ -7,6 +7,7 @@ gap and speeds belong together: a car that is close ahead mostly drives as fast 
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -22,7 +23,7 @@ from recast.simulation import Advancing, CutIn, Oncoming, StartSituation, Statio
 from recast.simulation.actor_motion import DEFAULT_LANE_OFFSET, ScriptMotion, neighbour_lateral
 from recast.synthetic import world
 from recast_tools.planner_data.stage import SampleStage
-from recast_tools.planner_training.samples import EVERY
+from recast_tools.planner_training.samples import EVERY, DriveKind
 
 MOMENTS = 12
 """Samples of a drive at most, half a second apart: as often as a planner plans."""
@@ -32,7 +33,7 @@ is decided whether a cut-in ends well. Their share of the samples was too small 
 _DT = 0.1
 _STEPS = round(EVERY / _DT)
 _TRIES = 60
-_SHARES = {
+_SHARES: dict[DriveKind, float] = {
     "ordinary": 0.30,
     "leading": 0.15,
     "stationary": 0.11,
@@ -174,9 +175,12 @@ class SampleDrive:
         return tuple(self.stage.traffic(time))
 
 
-def begin_drive(stage: SampleStage, rng: np.random.Generator) -> SampleDrive | None:
-    """A drive of a random kind from a random place; None where tries were in vain."""
-    kind = str(rng.choice(list(_SHARES), p=list(_SHARES.values())))
+def begin_drive(
+    stage: SampleStage, kinds: Sequence[DriveKind], rng: np.random.Generator
+) -> SampleDrive | None:
+    """A drive of one of some kinds from a random place; None where tries were in vain."""
+    shares = np.array([_SHARES[kind] for kind in kinds])
+    kind: DriveKind = kinds[int(rng.choice(len(kinds), p=shares / shares.sum()))]
     for _ in range(_TRIES):
         found = _begin(stage, kind, rng)
         if found is not None and found.situation(1, rng) is not None:

@@ -109,7 +109,7 @@ def evaluate(task: GtrsTask, indices: NDArray[np.int64], weights: ScoreWeights) 
     true = true_scores(scores)
     rows = np.arange(len(indices))
     got = true[rows, chosen]
-    safe = scores[:, 0] > 127
+    safe = scores[:, 0] == 255
     in_sight = store.clues[indices, 0] > 0
     return SampleScores(
         samples=len(indices),

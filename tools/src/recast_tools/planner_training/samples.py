@@ -94,6 +94,13 @@ _MIRRORED_VALUES = np.array([-1.0 if name in ("sin", "vy") else 1.0 for name in 
 _MIRRORED_CLUES = np.array([-1.0 if name not in ("present", "x", "cos") else 1.0 for name in CLUES])
 
 
+DriveKind = Literal[
+    "ordinary", "leading", "stationary", "oncoming", "through", "cut-in", "advancing"
+]
+"""What happens in a drive of samples."""
+DRIVE_KINDS: tuple[DriveKind, ...] = get_args(DriveKind)
+
+
 class DatasetRecord(Record):
     """What all samples of a folder share, as written to `dataset.json`.
 
@@ -109,6 +116,7 @@ class DatasetRecord(Record):
         street_steps: training steps of each of these streets.
         renderers: what a drive in one of them is shown by, in turn; the oracle shows the same drive
             as it truly is, without the vehicles that the street has no model of.
+        kinds: what happens in the drives, by the shares of `recast_tools.planner_data.drive`.
         driver: SHA-256 of the weights of the planner that drives every second drive; "" without.
         primitives: what is scored.
     """
@@ -124,6 +132,7 @@ class DatasetRecord(Record):
     reconstructed: float = Field(default=0.0, ge=0.0, le=1.0)
     street_steps: int = Field(default=1000, ge=1)
     renderers: tuple[Renderer, ...] = Field(default=RENDERERS[1:], min_length=1)
+    kinds: tuple[DriveKind, ...] = Field(default=DRIVE_KINDS, min_length=1)
     driver: str = ""
     primitives: MotionPrimitives = PRIMITIVES
 
