@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal, get_args
 
 import tyro
 
@@ -14,6 +14,12 @@ from recast.cli.shared import JSON, Rows, console_for, print_json
 
 if TYPE_CHECKING:
     from recast_tools.planner_probe import ProbeRow
+
+
+# As in `recast_tools.planner_training.samples`, which imports more than help needs.
+_DriveKind = Literal[
+    "ordinary", "leading", "stationary", "oncoming", "through", "cut-in", "advancing"
+]
 
 
 @dataclass(frozen=True)
@@ -46,10 +52,7 @@ class Dataset:
     """What shows the drives in reconstructed worlds, in turn."""
     street_steps: int = 1000
     """Number of training steps of each reconstructed street."""
-    kinds: tuple[
-        Literal["ordinary", "leading", "stationary", "oncoming", "through", "cut-in", "advancing"],
-        ...,
-    ] = ("ordinary", "leading", "stationary", "oncoming", "through", "cut-in", "advancing")
+    kinds: tuple[_DriveKind, ...] = get_args(_DriveKind)
     """What happens in the drives; without the others, these keep their proportions."""
     store: Annotated[
         str | None, shared.option(shared.STORE_HELP, "store/ beside the folder of the samples")
