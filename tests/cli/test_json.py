@@ -272,9 +272,8 @@ def test_vehicles_and_planners(capsys: Capture) -> None:
     from recast.actors.actor import CandidateRecord, CandidateScore
     from recast.cli.rows import results
     from recast.metrics.table import Bootstrap
-    from recast.studies.actors import TrackResult
     from recast.studies.generation.report import StudyBlock, StudyDifference, StudyRow
-    from recast.studies.photographs import PhotographEvaluation, PhotographScores
+    from recast.studies.photographs import PhotographEvaluation, PhotographScores, TrackResult
     from recast_tools.cli.planner import _probe_rows
     from recast_tools.planner_probe import ProbeRow
 

@@ -122,7 +122,7 @@ class EvalActor:
         from recast.runs.actor import ActorMakers
         from recast.runs.display import SamplingProgress
         from recast.scene import load_scene
-        from recast.studies.actors import evaluate_tracks, tracks_table
+        from recast.studies.photographs import evaluate_tracks, tracks_table
 
         makers = ActorMakers.named(self.model, self.segmenter, self.axes)
         console = console_for(self.json)

@@ -10,13 +10,14 @@ import torch
 from recast.dynamics import make_state
 from recast.geometry import boxes, se2
 from recast.planning.gtrs.expert import TargetObstacle
-from recast_tools.planner_data.dataset import column_directions
+from recast.planning.gtrs.perception import COLUMN_SCALES
+from recast.synthetic import make_rig
 from recast_tools.planner_training.samples import COLUMNS, mirror_columns
 from recast_tools.planner_training.targets import COLUMN_VALUES, column_values
-from recast_tools.planner_training.task import HALF_VIEWS, ClueReader
+from recast_tools.planner_training.task import HALF_VIEWS, MINI_VIEWS, column_loss
 from support.target_roads import moving
 
-DIRECTIONS = column_directions(HALF_VIEWS, COLUMNS)
+DIRECTIONS = HALF_VIEWS.directions(COLUMNS)
 
 
 def test_columns_look_from_left_to_right() -> None:
@@ -24,6 +25,25 @@ def test_columns_look_from_left_to_right() -> None:
     assert np.all(np.diff(DIRECTIONS) < 0)
     np.testing.assert_allclose(DIRECTIONS, -DIRECTIONS[::-1], atol=1e-6)
     assert np.deg2rad(55) < DIRECTIONS[0] < np.deg2rad(65)
+    # Half as wide pictures show the same.
+    np.testing.assert_allclose(DIRECTIONS, MINI_VIEWS.directions(COLUMNS), atol=1e-6)
+
+
+def test_columns_look_where_the_rig_looks() -> None:
+    """The pictures of the samples are cut from the rig's cameras."""
+    found = []
+    for view, (name, mounted) in zip(
+        HALF_VIEWS.views,
+        make_rig(HALF_VIEWS.width, HALF_VIEWS.height, HALF_VIEWS.cameras).cameras.items(),
+        strict=True,
+    ):
+        assert view.name == name
+        rays = mounted.camera.rays(mounted.camera.pixel_grid()[mounted.camera.height // 2])
+        way = rays @ mounted.rig_from_camera[:3, :3].T
+        cut = slice(view.crop_columns, HALF_VIEWS.width - view.crop_columns)
+        found.append(np.unwrap(np.arctan2(way[:, 1], way[:, 0]))[cut])
+    seen = np.concatenate(found).reshape(COLUMNS, -1).mean(axis=1)
+    np.testing.assert_allclose(DIRECTIONS, seen, atol=1e-9)
 
 
 @pytest.mark.parametrize("seed", range(5))
@@ -68,38 +88,28 @@ def test_the_mirrored_street_gives_mirrored_columns() -> None:
     np.testing.assert_allclose(mirror_columns(left), right, atol=1e-5)
 
 
-def told(reader: ClueReader, value: torch.Tensor) -> torch.Tensor:
-    """Tokens from which a reader with an identity reads values."""
-    with torch.no_grad():
-        reader.column.weight.copy_(torch.eye(len(COLUMN_VALUES)))
-        reader.column.bias.zero_()
-    tokens = value / reader.column_scales
-    tokens[..., 0] = 40.0 * (2.0 * value[..., 0] - 1.0)  # a sure logit
-    return tokens
+def read(values: torch.Tensor) -> torch.Tensor:
+    """What is read where it is read rightly."""
+    found = values / torch.tensor(COLUMN_SCALES)
+    found[..., 0] = 40.0 * (2.0 * values[..., 0] - 1.0)  # a sure logit
+    return found
 
 
-@torch.no_grad()
 def test_right_readings_cost_nothing_and_unseen_motion_neither() -> None:
-    reader = ClueReader(len(COLUMN_VALUES), torch.Generator().manual_seed(0))
     state = make_state(np.zeros(3), 6.0)
     values = column_values(state, [moving(20, 1.0, 0.3, 4.0)], DIRECTIONS)
     columns = torch.from_numpy(values)[None]
     known, unknown = torch.tensor([True]), torch.tensor([False])
-    right = told(reader, columns.clone())
-    assert float(reader.column_loss(right, columns, known)) < 1e-6
+    assert float(column_loss(read(columns), columns, known)) < 1e-6
     slow = columns.clone()
     slow[..., 4] += 5.0
-    wrong = told(reader, slow)
-    assert float(reader.column_loss(wrong, columns, known)) > 0.1
-    assert float(reader.column_loss(wrong, columns, unknown)) < 1e-6
+    assert float(column_loss(read(slow), columns, known)) > 0.1
+    assert float(column_loss(read(slow), columns, unknown)) < 1e-6
 
 
-@torch.no_grad()
 def test_coarser_columns_tell_the_nearest_vehicle() -> None:
-    reader = ClueReader(len(COLUMN_VALUES), torch.Generator().manual_seed(0))
     columns = torch.zeros(1, 4, len(COLUMN_VALUES))
     columns[0, 0] = torch.tensor([1.0, np.log(30.0), 1, 0, 0, 0])
     columns[0, 1] = torch.tensor([1.0, np.log(9.0), -1, 0, -3, 0])
-    wanted = columns[:, [1, 3]]
-    seen = told(reader, wanted.clone())
-    assert float(reader.column_loss(seen, columns, torch.tensor([True]))) < 1e-6
+    found = read(columns[:, [1, 3]])
+    assert float(column_loss(found, columns, torch.tensor([True]))) < 1e-6

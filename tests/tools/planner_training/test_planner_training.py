@@ -30,7 +30,6 @@ from recast_tools.planner_training.task import (
     MINI,
     MINI_VIEWS,
     Batch,
-    ClueReader,
     GtrsTask,
     PlannerTrainingConfig,
     balanced,
@@ -133,8 +132,7 @@ def test_a_training_as_recorded_sees_no_vehicle_that_was_placed(
     assert (record["samples"], record["held_out"]) == (18, 2)  # a half
     store = SampleStore(small_dataset)
     alone = np.flatnonzero(store.clues[:, 0] == 0)
-    reader = ClueReader(TINY.channels, torch.Generator().manual_seed(0))
-    task, seen = GtrsTask(store, alone, first_model(0, TINY), reader, 4, 16), []
+    task, seen = GtrsTask(store, alone, first_model(0, TINY), 4, 16), []
     gather = task.gather
 
     def watched(chosen: np.ndarray, *parts: Any) -> Batch:
@@ -183,8 +181,7 @@ def test_a_batch_holds_every_speed_of_a_picture(small_dataset: Path) -> None:
     """With part of the primitives and a mirror, entries are those taken one by one."""
     store = SampleStore(small_dataset)
     model = first_model(0, TINY)
-    reader = ClueReader(TINY.channels, torch.Generator().manual_seed(0))
-    task = GtrsTask(store, np.arange(20), model, reader, 4, 16)
+    task = GtrsTask(store, np.arange(20), model, 4, 16)
     chosen, scored = np.array([3, 8]), np.array([5, 77, 2])
     mirrored = np.array([False, True])
     both = task.gather(chosen, np.arange(2), mirrored, scored=scored)
@@ -209,8 +206,8 @@ def test_a_batch_holds_every_speed_of_a_picture(small_dataset: Path) -> None:
 
 def test_it_learns_to_look(small_dataset: Path, tmp_path: Path) -> None:
     """Some seconds suffice to tell a street with a red patch from one without."""
-    training = config(80, sheet_every=0, judged=2, batch=4).model_copy(
-        update={"trainer": TrainerSettings(steps=80, lr=5e-3, clip=2.0, log_every=80)}
+    training = config(200, sheet_every=0, judged=2, batch=4).model_copy(
+        update={"trainer": TrainerSettings(steps=200, lr=5e-3, clip=2.0, log_every=200)}
     )
     reached = train_planner([small_dataset], tmp_path / "out", training, QUIET)
     assert reached.gap > 0.0
@@ -288,8 +285,7 @@ def test_twins_lack_the_same_images(small_dataset: Path) -> None:
     store = SampleStore(small_dataset)
     store.before[:] = np.where(store.clues[:, 0] > 0, np.arange(len(store)), -1)
     model = first_model(0, TINY.model_copy(update={"history": 1.0}))
-    reader = ClueReader(TINY.channels, torch.Generator().manual_seed(0))
-    task = GtrsTask(store, np.arange(len(store)), model, reader, 4, 16)
+    task = GtrsTask(store, np.arange(len(store)), model, 4, 16)
     seen, gather = [], task.gather
 
     def watched(*parts: Any) -> Batch:

@@ -20,10 +20,9 @@ from recast.recar.turntable import TurntableFit
 from recast.recar.vehicle_set import VehicleSet
 from recast.runs.run_folder import METRICS_FILE
 from recast.runs.scores import read_metrics
-from recast.studies.actors import TrackResult
 from recast.studies.closed_loop import GridResults
 from recast.studies.generation.report import STUDY_COLUMNS, StudyBlock
-from recast.studies.photographs import PHOTOGRAPH_COLUMNS, PhotographEvaluation
+from recast.studies.photographs import PHOTOGRAPH_COLUMNS, PhotographEvaluation, TrackResult
 from recast.studies.planner_driving import PlannerDriving
 from recast.studies.verdicts import PartLoss, VerdictCounts
 from recast.trellis.checkpoints import ModelCheck

@@ -13,7 +13,7 @@ from recast.planning.gtrs.config import (
     ViewLayout,
     network_input,
 )
-from recast.planning.gtrs.model import HEADS, IMITATION, METRICS, GtrsModel, empty_model, new_model
+from recast.planning.gtrs.model import GtrsModel, empty_model, new_model
 from recast.planning.gtrs.planner import (
     GtrsDecision,
     GtrsPlanner,
@@ -25,7 +25,10 @@ from recast.planning.gtrs.planner import (
 )
 from recast.planning.gtrs.scores import (
     COMBINED,
+    HEADS,
+    IMITATION,
     METRIC_WEIGHTS,
+    METRICS,
     VOCABULARY_ONLY,
     ScoreWeights,
     combined_trajectories,

@@ -163,6 +163,23 @@ class ViewLayout(Record):
             for name, yaw, columns in zip(self.cameras, self.yaws, sides, strict=True)
         )
 
+    def directions(self, count: int) -> Array:
+        """(count,) angles against straight on, radians, left positive, of equal parts of the
+        network's input, side by side.
+
+        Raises:
+            ValueError: the columns of the three pictures do not divide into so many parts.
+        """
+        focal = self.width / (2 * np.tan(np.deg2rad(self.field_of_view) / 2))
+        every = self.width / 2 - np.arange(self.width) - 0.5
+        found = []
+        for yaw, cut in zip(self.yaws, (self.crop_columns, 0, self.crop_columns), strict=True):
+            found.append(np.deg2rad(yaw) + np.arctan(every[cut : self.width - cut] / focal))
+        columns = np.concatenate(found)
+        if len(columns) % count:
+            raise ValueError(f"{len(columns)} columns do not divide into {count} parts")
+        return columns.reshape(count, -1).mean(axis=1)
+
     def stitch(self, images: Mapping[str, Image], where: str = "planner") -> Image:
         """The network's input (input_height, input_width, 3) uint8 RGB.
 

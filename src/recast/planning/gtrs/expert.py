@@ -24,8 +24,7 @@ from recast.geometry import se2
 from recast.geometry.boxes import bev_touching
 from recast.logs import HdMap
 from recast.planning.gtrs.config import PRIMITIVES
-from recast.planning.gtrs.model import METRICS
-from recast.planning.gtrs.scores import comfortable
+from recast.planning.gtrs.scores import METRICS, comfortable
 from recast.planning.map import PlannerMap, planner_map, route_blocks
 from recast.planning.pdm import Centreline
 from recast.planning.pdm.forecast import box_centres, box_corners

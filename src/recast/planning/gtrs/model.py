@@ -20,23 +20,9 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from recast.planning.gtrs.config import BackboneConfig, GtrsConfig
+from recast.planning.gtrs.perception import ColumnTokens, Foresight, PositionEmbedding
+from recast.planning.gtrs.scores import IMITATION, METRICS
 from recast.planning.types import WAYPOINTS
-
-METRICS = (
-    "no_at_fault_collisions",
-    "drivable_area_compliance",
-    "time_to_collision_within_bound",
-    "ego_progress",
-    "driving_direction_compliance",
-    "lane_keeping",
-    "traffic_light_compliance",
-)
-"""Heads whose sigmoid is the expected sub-score of a trajectory."""
-
-IMITATION = "imi"
-"""Head whose softmax over the vocabulary is the probability that a human drives a trajectory."""
-
-HEADS = (*METRICS, IMITATION)
 
 
 class TrajectoryHead(nn.Module):
@@ -98,7 +84,11 @@ class TrajectoryHead(nn.Module):
         return {name: head(tokens).squeeze(-1) for name, head in self.heads.items()}
 
     def forward(
-        self, trajectories: Tensor, image_tokens: Tensor, status_code: Tensor
+        self,
+        trajectories: Tensor,
+        image_tokens: Tensor,
+        status_code: Tensor,
+        foreseen: Tensor | None = None,
     ) -> dict[str, Tensor]:
         """Logits (B, L) by head.
 
@@ -107,10 +97,12 @@ class TrajectoryHead(nn.Module):
                 `prepare_cached`) or B.
             image_tokens: (B, T, d).
             status_code: (B, d), added to every token after the decoder.
+            foreseen: (B, L, d), added to each, see `Foresight`.
         """
         shared = len(trajectories) == 1
         prepared = self.prepare_cached(trajectories) if shared else self.prepare(trajectories)
-        return self.logits(self.decode(prepared, image_tokens) + status_code[:, None])
+        tokens = self.decode(prepared, image_tokens) + status_code[:, None]
+        return self.logits(tokens if foreseen is None else tokens + foreseen)
 
 
 def attend(q: Tensor, k: Tensor, v: Tensor, heads: int) -> Tensor:
@@ -260,54 +252,6 @@ class TensorCache:
 STATUS_VALUES = 8
 
 
-class PositionEmbedding(nn.Module):
-    """One learned vector for each token. Not an `nn.Embedding`: on the meta device that imports a
-    computer algebra system, which takes longer than all the rest of loading.
-    """
-
-    def __init__(self, tokens: int, channels: int) -> None:
-        super().__init__()
-        self.weight = nn.Parameter(torch.empty(tokens, channels))
-
-    def forward(self, tokens: Tensor) -> Tensor:
-        """(B, T, d) with the vectors added."""
-        return tokens + self.weight
-
-
-class ColumnTokens(nn.Module):
-    """One token for each column of image tokens: what stands in that direction, now and earlier,
-    beside each other, since how things move is in the difference."""
-
-    def __init__(self, config: GtrsConfig) -> None:
-        super().__init__()
-        d, self._rows, self._history = config.channels, config.token_rows, config.history or 0.0
-        self.weigh = nn.Linear(d, 2)
-        self.mix = nn.Sequential(
-            nn.Conv1d(4 * d, d, 5, padding=2), nn.ReLU(), nn.Conv1d(d, d, 3, padding=1)
-        )
-        self.place = PositionEmbedding(config.token_columns, d)
-        self.unknown = PositionEmbedding(config.token_columns, 2 * d)
-        self.age = PositionEmbedding(1, 2 * d)
-
-    def forward(self, now: Tensor, earlier: Tensor | None, age: Tensor | None) -> Tensor:
-        """Tokens (B, T, d) of two images, row by row, to (B, W, d); see `GtrsModel.look`."""
-        seen = self._pooled(now)
-        before = self.unknown(torch.zeros_like(seen))
-        if earlier is not None:
-            age = now.new_full((len(now),), self._history) if age is None else age.to(now)
-            age = age[:, None, None]
-            there = self._pooled(earlier) + (age - 1.0) * self.age.weight
-            before = torch.where(age > 0.0, there, before)
-        mixed: Tensor = self.mix(torch.cat([seen, before], dim=-1).transpose(1, 2))
-        return self.place(mixed.transpose(1, 2))
-
-    def _pooled(self, tokens: Tensor) -> Tensor:
-        """(B, T, d) to (B, W, 2 d): two weighted means over the rows of each column."""
-        rows = tokens.unflatten(1, (self._rows, -1))
-        weights = self.weigh(rows).softmax(dim=1)
-        return torch.einsum("brcq,brcd->bcqd", weights, rows).flatten(2)
-
-
 class GtrsModel(nn.Module):
     """The network. Its parameters are named as in the released checkpoints.
 
@@ -325,7 +269,10 @@ class GtrsModel(nn.Module):
         self.downscale_layer = nn.Conv2d(config.backbone.out_channels, config.channels, 1)
         self._status_encoding = nn.Linear(STATUS_VALUES, config.channels)
         self._trajectory_head = TrajectoryHead(config)
-        self._columns = None if config.history is None else ColumnTokens(config)
+        self._columns = self._foresight = None
+        if config.history is not None:
+            self._columns = ColumnTokens(config)
+            self._foresight = Foresight(config.channels, config.image_tokens, config.token_columns)
 
     @property
     def backbone(self) -> VovNet:
@@ -338,6 +285,12 @@ class GtrsModel(nn.Module):
     def head(self) -> TrajectoryHead:
         """The trajectory head."""
         return self._trajectory_head
+
+    @property
+    def foresight(self) -> Foresight:
+        """What reads the image in metres; only of a model with a history."""
+        assert self._foresight is not None
+        return self._foresight
 
     @property
     def device(self) -> torch.device:
@@ -370,13 +323,17 @@ class GtrsModel(nn.Module):
         if self._columns is None:
             return tokens
         before = None if earlier is None else self.image_tokens(earlier)
-        return torch.cat([tokens, self._columns(tokens, before, age)], dim=1)
+        columns = self._columns(tokens, before, age, self.foresight.stands)
+        return torch.cat([tokens, columns], dim=1)
 
     def score(self, tokens: Tensor, status: Tensor, trajectories: Tensor) -> dict[str, Tensor]:
         """Logits from the tokens of `look`; otherwise as `forward`."""
         if trajectories.ndim == 3:
             trajectories = trajectories[None]
-        return self._trajectory_head(trajectories, tokens, self.encode_status(status))
+        code, foreseen = self.encode_status(status), None
+        if self._foresight is not None:
+            foreseen = self._foresight(tokens, status, trajectories)
+        return self._trajectory_head(trajectories, tokens, code, foreseen)
 
     def forward(
         self,
@@ -424,6 +381,8 @@ class GtrsModel(nn.Module):
                 nn.init.normal_(module.weight, std=0.02, generator=generator)
             elif isinstance(module, nn.BatchNorm2d | nn.LayerNorm):
                 module.reset_parameters()
+            elif isinstance(module, Foresight):
+                module.directions.copy_(torch.linspace(1.0, -1.0, len(module.directions)))
             if isinstance(module, nn.Conv1d | nn.Conv2d | nn.Linear) and module.bias is not None:
                 nn.init.zeros_(module.bias)
 

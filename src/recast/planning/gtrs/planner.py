@@ -34,9 +34,10 @@ from recast.planning.gtrs.config import (
     ViewLayout,
     network_input,
 )
-from recast.planning.gtrs.model import IMITATION, GtrsModel, empty_model
+from recast.planning.gtrs.model import GtrsModel, empty_model
 from recast.planning.gtrs.scores import (
     COMBINED,
+    IMITATION,
     VOCABULARY_ONLY,
     ScoreWeights,
     Trajectories,

@@ -20,10 +20,25 @@ from recast.core.files import atomic_file
 from recast.core.records import Record
 from recast.core.table_files import read_npy
 from recast.dynamics.tracker import comfortable_plans
-from recast.planning.gtrs.model import IMITATION
 from recast.planning.types import WAYPOINTS
 
 Trajectories = NDArray[np.float32]
+
+METRICS = (
+    "no_at_fault_collisions",
+    "drivable_area_compliance",
+    "time_to_collision_within_bound",
+    "ego_progress",
+    "driving_direction_compliance",
+    "lane_keeping",
+    "traffic_light_compliance",
+)
+"""Heads whose sigmoid is the expected sub-score of a trajectory."""
+
+IMITATION = "imi"
+"""Head whose softmax over the vocabulary is the probability that a human drives a trajectory."""
+
+HEADS = (*METRICS, IMITATION)
 
 _MEND = f"give a .npy file of shape (L, {WAYPOINTS}, 3): x, y, heading every 0.1 s"
 METRIC_WEIGHTS: Mapping[str, float] = MappingProxyType(

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from recast.arrays import Array, Image
+from recast.arrays import Image
 from recast.core import Store, open_store
 from recast.core.diagnostics import Progress
 from recast.core.errors import InputError, require_range
@@ -23,6 +23,7 @@ from recast.dynamics import state as ego
 from recast.geometry import se2
 from recast.planning.gtrs import MotionPrimitives, ViewLayout, load_gtrs
 from recast.planning.gtrs.expert import TrajectoryTargets, score_trajectories
+from recast.planning.gtrs.perception import ROAD_AT
 from recast.planning.types import ego_status
 from recast.runs.run_folder import STORE_FOLDER
 from recast.synthetic import make_world
@@ -52,8 +53,6 @@ from recast_tools.planner_training.samples import (
 from recast_tools.planner_training.targets import column_values
 from recast_tools.planner_training.task import HALF_VIEWS
 
-_LOOK_AHEAD = (10.0, 20.0, 30.0)
-"""Metres at which the route's offset is told as a clue."""
 _SEEN = np.deg2rad(68.0)
 FIRST_SEED = 1000
 """First seed of training worlds; those below are for evaluation."""
@@ -303,19 +302,6 @@ def _kept(layout: ViewLayout) -> dict[str, RigCamera]:
     return found
 
 
-@cache
-def column_directions(layout: ViewLayout, count: int) -> Array:
-    """Angles (count,) against straight on, left positive, of the columns of stitched pictures."""
-    found = []
-    for mounted in _kept(layout).values():
-        camera = mounted.camera
-        way = (
-            camera.rays(camera.pixel_grid()[camera.height // 2]) @ mounted.rig_from_camera[:3, :3].T
-        )
-        found.append(np.unwrap(np.arctan2(way[:, 1], way[:, 0])))
-    return np.concatenate(found).reshape(count, -1).mean(axis=1)
-
-
 def describe(
     stage: SampleStage,
     situation: SampleSituation,
@@ -338,7 +324,7 @@ def describe(
         best=np.array([found.best for found in targets], np.int32),
         clues=_clues(stage, situation),
         columns=column_values(
-            situation.states[0], situation.obstacles, column_directions(HALF_VIEWS, COLUMNS)
+            situation.states[0], situation.obstacles, HALF_VIEWS.directions(COLUMNS)
         ),
         renderer=renderer,
     )
@@ -355,6 +341,6 @@ def _clues(stage: SampleStage, situation: SampleSituation) -> NDArray[np.float32
             clues[:5] = 1.0, x, y, np.cos(heading), np.sin(heading)
     s, lateral = stage.route.project(pose)
     turn = se2.wrap_angle(pose[2] - stage.route.heading(s))
-    ahead = se2.relative(pose, stage.route.pose(s + np.array(_LOOK_AHEAD)))[:, 1]
+    ahead = se2.relative(pose, stage.route.pose(s + np.array(ROAD_AT)))[:, 1]
     clues[5:] = lateral, turn, *ahead
     return clues

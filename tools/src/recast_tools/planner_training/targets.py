@@ -12,6 +12,7 @@ from recast.dynamics import state as ego
 from recast.geometry import se2
 from recast.geometry.boxes import bev_corners
 from recast.planning.gtrs.expert import TargetObstacle
+from recast.planning.gtrs.perception import LOOKS_FROM
 
 
 def unpacked(scores: NDArray[np.uint8]) -> NDArray[np.float32]:
@@ -27,21 +28,20 @@ _SEEN_TO, _NEAREST = 70.0, 1.0
 
 
 def column_values(
-    state: Array, obstacles: Sequence[TargetObstacle], directions: Array, ahead: float = 1.5
+    state: Array, obstacles: Sequence[TargetObstacle], directions: Array
 ) -> NDArray[np.float32]:
     """The nearest vehicle in each of W directions, (W, 6), see `COLUMN_VALUES`; 0 without one.
 
     Args:
         state: (11,) state of the ego, world.
         directions: (W,) angles against straight on, to the left positive.
-        ahead: metres from the rear axle to where one looks from.
     """
     found = np.zeros((len(directions), len(COLUMN_VALUES)), np.float32)
     nearest = np.full(len(directions), _SEEN_TO)
     way = np.stack([np.cos(directions), np.sin(directions)], axis=-1)[:, None]
     for one in obstacles:
         pose = se2.relative(state[ego.POSE], one.poses[0])
-        corners = bev_corners(pose, *one.size[:2]) - [ahead, 0.0]
+        corners = bev_corners(pose, *one.size[:2]) - [LOOKS_FROM, 0.0]
         side = np.roll(corners, -1, axis=0) - corners  # (4, 2)
         across = way[..., 0] * side[:, 1] - way[..., 1] * side[:, 0]  # (W, 4)
         across = np.where(np.abs(across) < 1e-9, np.nan, across)

@@ -30,6 +30,7 @@ from recast.planning.gtrs import (
 )
 from recast.planning.gtrs.config import ViewLayout
 from recast.planning.gtrs.expert import SCORED
+from recast.planning.gtrs.perception import COLUMN_SCALES, ROAD_SCALES
 from recast.planning.gtrs.scores import DEMONSTRATED, comfortable, vocabulary_dropout
 from recast.training.loop import StepLoss, StepRandom
 from recast.training.state import TrainerSettings, overridden
@@ -47,10 +48,10 @@ from recast_tools.planner_training.targets import COLUMN_VALUES, unpacked
 _ROAD = CLUES.index("lateral")
 """First of the clues about the road, which are read from the picture; those about the vehicle are
 read from its columns."""
-_ROAD_SCALES = (0.4, 0.06, 0.6, 1.5, 3.0)
-_COLUMN_SCALES = (1.0, 0.5, 1.0, 0.7, 5.0, 2.0)
-"""Usual sizes of what is read: errors count in these."""
 _MOVING = COLUMN_VALUES.index("vx")
+_COLUMNS, _EXACT = 3.0, 0.3
+"""Weight of what is read from the columns: without it, what is foreseen is wrong. And the error, in
+usual sizes, from which on it counts linearly."""
 _BESIDE, _FAR = 2.0, 22.0
 """Metres to one side, and ahead of the rear axle: kinds of samples."""
 _FORGOTTEN = 0.15
@@ -110,7 +111,6 @@ class GtrsTask:
         store: store of the samples.
         indices: indices of the samples to train on.
         model: model that is trained.
-        reader: reader that is trained with it, and not part of the planner.
         batch: samples a step; even.
         kept: primitives scored in a step; all where there are fewer.
     """
@@ -120,7 +120,6 @@ class GtrsTask:
         store: SampleStore,
         indices: NDArray[np.int64],
         model: GtrsModel,
-        reader: ClueReader,
         batch: int,
         kept: int,
     ) -> None:
@@ -130,8 +129,8 @@ class GtrsTask:
         self._twin = np.where(np.isin(store.twin, indices), store.twin, -1)
         self._chances = balanced(store, indices)
         self._kept = min(kept, len(self.primitives))
-        self.model, self.reader = model, reader
-        self.modules: Mapping[str, nn.Module] = {"gtrs": model, "reader": reader}
+        self.model = model
+        self.modules: Mapping[str, nn.Module] = {"gtrs": model}
 
     def loss(self, step: int, random: StepRandom) -> StepLoss:
         """Loss of the batch of a step, and its terms."""
@@ -146,7 +145,8 @@ class GtrsTask:
             augment(self.picture(index, age), rng) for index, age in zip(chosen, ages, strict=True)
         ]
         scored = vocabulary_dropout(len(self.primitives), self._kept, random.torch).numpy()
-        every = np.arange(self.store.status.shape[1])
+        # How things move is against the speed that the images were taken at: the first one.
+        every = np.arange(self.store.status.shape[1] if self.model.config.history is None else 1)
         found = self.of(self.gather(chosen, every, mirrored, images, ages, scored))
         return StepLoss(sum_of(found), {k: float(v.detach()) for k, v in found.items()})
 
@@ -245,14 +245,14 @@ class GtrsTask:
 
     def of(self, batch: Batch) -> dict[str, Tensor]:
         """Terms of the loss by name."""
-        tokens, count = self.look(batch), self.model.config.image_tokens
+        tokens = self.look(batch)
         logits = self.logits(tokens, batch)
         terms = training_loss(logits, batch.targets, batch.trajectories, batch.demonstration)
-        terms["clues"] = self.reader.loss(self.reader(tokens[:, :count]), batch.clues)
         if batch.earlier is not None:
-            terms["columns"] = self.reader.column_loss(
-                tokens[:, count:], batch.columns, batch.age > 0
-            )
+            reads = self.model.foresight
+            terms["clues"] = road_loss(reads.road(tokens), batch.clues)
+            misread = column_loss(reads.columns(tokens), batch.columns, batch.age > 0)
+            terms["columns"] = _COLUMNS * misread
         return terms
 
     def look(self, batch: Batch) -> Tensor:
@@ -294,72 +294,35 @@ def sum_of(terms: Mapping[str, Tensor]) -> Tensor:
     return torch.stack(list(terms.values())).sum()
 
 
-class ClueReader(nn.Module):
-    """Reads the clues about the road from the image tokens, by learned queries that look over them,
-    and what each column shows from the tokens of the columns.
+def road_loss(found: Tensor, clues: Tensor) -> Tensor:
+    """Loss of what `Foresight.road` read, (B, 5), against clues (B, 10)."""
+    return functional.smooth_l1_loss(found, clues[:, _ROAD:] / clues.new_tensor(ROAD_SCALES))
 
-    The scores of trajectories depend on the picture only where something is in the way. This loss
-    teaches the backbone from the first step on where vehicles and road are, and how vehicles move.
+
+def column_loss(found: Tensor, columns: Tensor, known: Tensor) -> Tensor:
+    """Presence by cross-entropy in every column, the rest where something is there.
+
+    How it moves counts only where there is an earlier image.
 
     Args:
-        channels: number of channels of the tokens.
-        generator: random generator of the first weights.
+        found: (B, W, 6) what `Foresight.columns` read.
+        columns: (B, 32, 6) what they show, W being a part of 32.
+        known: (B,) bool.
     """
-
-    scales: Tensor
-    column_scales: Tensor
-
-    def __init__(self, channels: int, generator: torch.Generator) -> None:
-        super().__init__()
-        self.weigh = nn.Linear(channels, 4)
-        self.read = nn.Sequential(
-            nn.Linear(4 * channels, channels), nn.ReLU(), nn.Linear(channels, len(_ROAD_SCALES))
-        )
-        self.column = nn.Linear(channels, len(COLUMN_VALUES))
-        self.register_buffer("scales", torch.tensor(_ROAD_SCALES), persistent=False)
-        self.register_buffer("column_scales", torch.tensor(_COLUMN_SCALES), persistent=False)
-        with torch.no_grad():
-            for part in self.modules():
-                if isinstance(part, nn.Linear):
-                    nn.init.xavier_uniform_(part.weight, generator=generator)
-                    nn.init.zeros_(part.bias)
-
-    def forward(self, tokens: Tensor) -> Tensor:
-        """Image tokens (B, T, d) to the clues about the road (B, 5), in units of `scales`."""
-        weights = self.weigh(tokens).softmax(dim=1)
-        pooled = torch.einsum("btq,btd->bqd", weights, tokens).flatten(1)
-        return self.read(pooled)
-
-    def loss(self, found: Tensor, clues: Tensor) -> Tensor:
-        """Loss of what `forward` read, against clues (B, 10)."""
-        return functional.smooth_l1_loss(found, clues[:, _ROAD:] / self.scales)
-
-    def column_loss(self, tokens: Tensor, columns: Tensor, known: Tensor) -> Tensor:
-        """Presence by cross-entropy in every column, the rest where something is there.
-
-        How it moves counts only where there is an earlier image.
-
-        Args:
-            tokens: (B, W, d) tokens of the columns.
-            columns: (B, 32, 6) what they show, W being a part of 32.
-            known: (B,) bool.
-        """
-        each = columns.shape[1] // tokens.shape[1]
-        wanted = columns.unflatten(1, (-1, each))
-        nearest = wanted[..., 0] * (10.0 - wanted[..., 1])
-        wanted = wanted.gather(
-            2, nearest.argmax(dim=2)[..., None, None].expand(-1, -1, 1, len(COLUMN_VALUES))
-        )
-        wanted = wanted.squeeze(2) / self.column_scales
-        found, there = self.column(tokens), wanted[..., 0]
-        counted = there[..., None].repeat(1, 1, found.shape[-1])
-        counted[..., _MOVING:] *= known[:, None, None]
-        misses = functional.smooth_l1_loss(found, wanted, reduction="none") * counted
-        seen = functional.binary_cross_entropy_with_logits(found[..., 0], there)
-        each_value = misses[..., 1:].sum(dim=(0, 1)) / counted[..., 1:].sum(dim=(0, 1)).clamp(
-            min=1.0
-        )
-        return 2.0 * seen + each_value.sum() / 2.0
+    each = columns.shape[1] // found.shape[1]
+    wanted = columns.unflatten(1, (-1, each))
+    nearest = wanted[..., 0] * (10.0 - wanted[..., 1])
+    wanted = wanted.gather(
+        2, nearest.argmax(dim=2)[..., None, None].expand(-1, -1, 1, len(COLUMN_VALUES))
+    )
+    wanted = wanted.squeeze(2) / columns.new_tensor(COLUMN_SCALES)
+    there = wanted[..., 0]
+    counted = there[..., None].repeat(1, 1, found.shape[-1])
+    counted[..., _MOVING:] *= known[:, None, None]
+    misses = functional.smooth_l1_loss(found, wanted, reduction="none", beta=_EXACT) * counted
+    seen = functional.binary_cross_entropy_with_logits(found[..., 0], there)
+    each_value = misses[..., 1:].sum(dim=(0, 1)) / counted[..., 1:].sum(dim=(0, 1)).clamp(min=1.0)
+    return 2.0 * seen + each_value.sum()
 
 
 def _stage(blocks: int, conv_channels: int, out_channels: int) -> BackboneStage:
@@ -415,6 +378,10 @@ def first_model(seed: int, config: GtrsConfig = MINI) -> GtrsModel:
         first = model.head.pos_embed[0]
         assert isinstance(first, torch.nn.Linear)
         first.weight.mul_(0.1)
+        if config.history is not None:
+            reads = model.foresight
+            reads.directions.copy_(torch.from_numpy(MINI_VIEWS.directions(len(reads.directions))))
+            nn.init.zeros_(reads.add[2].weight)  # type: ignore[arg-type]
         for name, logit in _USUAL.items():
             last = model.head.heads[name][-1]  # type: ignore[index]
             last.bias.fill_(logit)

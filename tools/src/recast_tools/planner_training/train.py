@@ -35,7 +35,6 @@ from recast_tools.planner_training.samples import (
 )
 from recast_tools.planner_training.task import (
     MINI_VIEWS,
-    ClueReader,
     GtrsTask,
     PlannerTrainingConfig,
     first_model,
@@ -195,7 +194,6 @@ def _open(
     model = first_model(seed, config.network)
     if start is not None:
         _begin_from(model, start)
-    reader = ClueReader(config.network.channels, torch.Generator().manual_seed(seed + 1))
     record = PlannerTrainingRecord(
         config=config,
         dataset_sha256=[hash_files(one, [one / RECORD_FILE]) for one in datasets],
@@ -204,7 +202,7 @@ def _open(
         parameters=sum(parameter.numel() for parameter in model.parameters()),
         start_sha256=None if start is None else hash_files(start, [start / WEIGHTS_FILE]),
     )
-    task = GtrsTask(store, train_on, model, reader, config.batch, config.kept)
+    task = GtrsTask(store, train_on, model, config.batch, config.kept)
     return _Setting(store, task, held_out, record)
 
 
