@@ -39,10 +39,11 @@ _SHARES: dict[DriveKind, float] = {
     "stationary": 0.11,
     "oncoming": 0.13,
     "through": 0.03,
-    "cut-in": 0.20,
-    "advancing": 0.08,
+    "cut-in": 0.16,
+    "advancing": 0.12,
 }
-"""Shares of what happens. A planner that rarely follows a car brakes for every one."""
+"""Shares of what happens. A planner that rarely follows a car brakes for every one, and one that
+sees no car beside it but those that cut in brakes for these."""
 _CALM = {"leading": 0.75, "cut-in": 0.5}
 """Shares of the cars ahead that drive on about as fast as they did. Where half of them brake, the
 best that a planner can do behind any car is to brake."""
@@ -325,4 +326,4 @@ def _motion(kind: str, rng: np.random.Generator) -> ScriptMotion:
             delay=between(0.0, 4.0),
             duration=between(2.0, 4.0),
         )
-    return Advancing("random", gap=between(3, 25), speed=between(0.4, 1.1))
+    return Advancing("random", gap=between(0, 25), speed=between(0.5, 1.4))

@@ -347,20 +347,21 @@ MINI = GtrsConfig(
 """A backbone that ends at stride 16: a vehicle 40 m ahead is 11 of 512 columns wide."""
 
 MINI_SCORING = ScoreWeights(
-    imitation=0.03,
-    no_collision=8.0,
+    imitation=0.5,
+    no_collision=6.0,
     drivable_area=2.0,
-    direction=0.2,
-    traffic_light=0.1,
-    average=6.0,
-    time_to_collision=15.0,
-    progress=7.0,
+    direction=2.0,
+    traffic_light=0.2,
+    average=12.0,
+    time_to_collision=5.0,
+    progress=5.0,
     lane_keeping=6.0,
-    comfort=2.0,
+    comfort=4.0,
+    blended=20.0,
 )
-"""Weights of the final score, chosen on held-out samples of training worlds, as the published
-ones were on a validation set: a small network is less sure, and collisions weigh more. Comfort
-decides between trajectories that are about as safe."""
+"""Weights of the final score, chosen by how the planner drives on five recorded drives of seed 31
+and by the safety of its choices on held-out samples: of those with which it stops for no reason in
+at most 3 % of the moments, and one pixel moves at most 5 % of its plans, the safest."""
 
 _USUAL = {
     "no_at_fault_collisions": 1.0,
