@@ -43,7 +43,7 @@ class Foresight(nn.Module):
     that drives on. Here the image is read in metres: what stands in the direction of each column
     and how it moves, and where the road leads. Each trajectory is held against that, with all that
     moves going on at constant velocity, and what is found is added to its token. The readings are
-    trained with the scores, see `recast_tools.planner_training`.
+    trained with the scores, see docs/train_the_small_planner.md.
 
     Args:
         channels: number of channels of all tokens, d.
