@@ -153,7 +153,7 @@ class ViewLayout(Record):
         """The three pictures, to be had from any rig; () for nuPlan's, which goes by its names."""
         if set(self.cameras) <= set(NUPLAN_CAMERAS):
             return ()
-        focal = self.width / (2 * np.tan(np.deg2rad(self.field_of_view) / 2))
+        focal = self._focal
         camera = PinholeCamera(
             self.width, self.height, focal, focal, self.width / 2, self.height / 2
         )
@@ -163,6 +163,10 @@ class ViewLayout(Record):
             for name, yaw, columns in zip(self.cameras, self.yaws, sides, strict=True)
         )
 
+    @property
+    def _focal(self) -> float:
+        return float(self.width / (2 * np.tan(np.deg2rad(self.field_of_view) / 2)))
+
     def directions(self, count: int) -> Array:
         """(count,) angles against straight on, radians, left positive, of equal parts of the
         network's input, side by side.
@@ -170,11 +174,10 @@ class ViewLayout(Record):
         Raises:
             ValueError: the columns of the three pictures do not divide into so many parts.
         """
-        focal = self.width / (2 * np.tan(np.deg2rad(self.field_of_view) / 2))
         every = self.width / 2 - np.arange(self.width) - 0.5
         found = []
         for yaw, cut in zip(self.yaws, (self.crop_columns, 0, self.crop_columns), strict=True):
-            found.append(np.deg2rad(yaw) + np.arctan(every[cut : self.width - cut] / focal))
+            found.append(np.deg2rad(yaw) + np.arctan(every[cut : self.width - cut] / self._focal))
         columns = np.concatenate(found)
         if len(columns) % count:
             raise ValueError(f"{len(columns)} columns do not divide into {count} parts")
@@ -445,7 +448,7 @@ def _standard_primitives() -> MotionPrimitives:
 
 
 PRIMITIVES = _standard_primitives()
-"""284 of them: from emergency braking to brisk driving on, along the lane and into side roads."""
+"""298 of them: from emergency braking to brisk driving on, along the lane and into side roads."""
 
 WAYMO_NATIVE = ViewLayout(
     width=960, height=640, crop_rows=64, crop_columns=208, input_width=2048, input_height=512

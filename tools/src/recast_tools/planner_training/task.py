@@ -360,8 +360,9 @@ MINI_SCORING = ScoreWeights(
     blended=20.0,
 )
 """Weights of the final score, chosen by how the planner drives on five recorded drives of seed 31
-and by the safety of its choices on held-out samples: of those with which it stops for no reason in
-at most 3 % of the moments, and one pixel moves at most 5 % of its plans, the safest."""
+and by the safety of its choices on held-out samples: with them it stops for no reason in at most
+3 % of the moments, and one pixel moves at most 5 % of its plans. Half as much weight is a little
+safer, and ends farther from what was driven."""
 
 _USUAL = {
     "no_at_fault_collisions": 1.0,
