@@ -107,18 +107,20 @@ def test_reconstructed_samples_can_be_left_out(small_dataset: Path, tmp_path: Pa
         change(world_folder(mixed, number), "renderer", ["replaced", "replaced"])
         shutil.rmtree(world_folder(traced, number))
     states = {}
-    for name, folder, oracle_only in (
-        ("alone", traced, True),
-        ("left out", mixed, True),
-        ("all", mixed, False),
+    for name, folder, renderers in (
+        ("alone", traced, ("oracle",)),
+        ("left out", mixed, ("oracle",)),
+        ("all", mixed, ("replaced", "oracle")),
     ):
         out = tmp_path / name
-        train_planner([folder], out, config(3, oracle_only=oracle_only), QUIET)
+        train_planner([folder], out, config(3, renderers=renderers), QUIET)
         states[name] = (out / STATE_FILE).read_bytes()
     assert states["left out"] == states["alone"]
     assert states["all"] != states["alone"]
     with pytest.raises(InputError, match="samples"):  # a training is of one kind
-        train_planner([mixed], tmp_path / "all", config(3, oracle_only=True), QUIET)
+        train_planner([mixed], tmp_path / "all", config(3, renderers=("oracle",)), QUIET)
+    with pytest.raises(InputError, match="renderers"):
+        train_planner([mixed], tmp_path / "none", config(3, renderers=("native",)), QUIET)
 
 
 def test_a_training_as_recorded_sees_no_vehicle_that_was_placed(

@@ -61,8 +61,9 @@ _OFF_LANE, _OFF_LANE_STEPS = 0.5, 20
 _LEAVES = 1.0
 """Metres off the middle that are too much at once."""
 _LEAST_PROGRESS = 5.0
-_BLOCKED = 4.0
-"""Metres up to which it is better to stand than to creep closer."""
+_BLOCKED, _RESERVE = 4.0, 2.5
+"""Metres up to which it is better to stand than to creep closer; and that a driver leaves to what
+is in the way: who stops as late as is safe, is touched where distance or speed were misread."""
 _FULL = 255
 _RUN_INTO, _AS_GOOD_AS_STANDING = 0.5, 0.5
 """No-collision score where the ego already stands when an obstacle ahead or beside drives into it:
@@ -154,11 +155,12 @@ def score_trajectories(
     Obstacles move as they truly will, not at constant velocity. Beyond PDM: touching an obstacle
     sideways is always the ego's fault, and being run into from ahead while standing half a fault,
     since the closed loop counts every collision. Progress is compared with what the wanted speeds
-    allow, or with the best that gets through in its lane if that is less; more is as bad as less,
-    so that braking beats swerving. Lane keeping is NAVSIM's, not more than 0.5 m off for 2 s
-    running, and never more than 1 m off where it was not. Comfort is that of the trajectory and of
-    the path driven by it, see `comfortable`: of two that are as safe, the comfortable one is
-    better. Where every trajectory scores 0, the first one is the best: it brakes hardest.
+    allow, or, if that is less, with 2.5 m less than the best that gets through in its lane; more is
+    as bad as less, so that braking beats swerving. Lane keeping is NAVSIM's, not more than 0.5 m
+    off for 2 s running, and never more than 1 m off where it was not. Comfort is that of the
+    trajectory and of the path driven by it, see `comfortable`: of two that are as safe, the
+    comfortable one is better. Where every trajectory scores 0, the first one is the best: it brakes
+    hardest.
 
     Areas and lanes are looked up every 0.2 s.
 
@@ -182,7 +184,8 @@ def score_trajectories(
     metres = np.maximum(ends - begin, 0.0)
     allowed = safe * drivable * direction
     through = float((metres * allowed * keeping).max())
-    wanted = min(_wanted_metres(road, state), through if through > _BLOCKED else 0.0)
+    room = through - _RESERVE if through > _BLOCKED else 0.0
+    wanted = min(_wanted_metres(road, state), room)
     missed = np.abs(metres - wanted) / max(wanted, _LEAST_PROGRESS)
     progress = np.clip(1.0 - missed, 0.0, 1.0)
     weighted = 5 * ttc + 5 * progress + 2 * keeping + 2 * comfort

@@ -20,6 +20,7 @@ if TYPE_CHECKING:
 _DriveKind = Literal[
     "ordinary", "leading", "stationary", "oncoming", "through", "cut-in", "advancing"
 ]
+_Renderer = Literal["oracle", "native", "replaced", "refined"]
 
 
 @dataclass(frozen=True)
@@ -44,7 +45,7 @@ class Dataset:
     reconstructed: float = 0.0
     """Share of the worlds that are shown by a reconstructed street instead of the oracle, with the
     target as reconstructed, replaced, and replaced and refined (0 to 1)."""
-    renderers: tuple[Literal["oracle", "native", "replaced", "refined"], ...] = (
+    renderers: tuple[_Renderer, ...] = (
         "native",
         "replaced",
         "refined",
@@ -159,8 +160,10 @@ class PlannerTrain:
     steps: Annotated[
         int | None, shared.option("Number of optimiser steps.", "the shipped planner's")
     ] = None
-    oracle_only: bool = False
-    """Leave out the samples that show a reconstruction."""
+    renderers: Annotated[
+        tuple[_Renderer, ...] | None,
+        shared.option("Leave out the samples that others have rendered.", "all"),
+    ] = None
     threads: int = 1
     """Number of CPU threads; the result depends on it in the last digits."""
 
@@ -173,7 +176,7 @@ class PlannerTrain:
 
         torch.set_num_threads(self.threads)
         console = console_for(False)
-        config = chosen_training(self.config, self.seed, self.steps, self.oracle_only)
+        config = chosen_training(self.config, self.seed, self.steps, self.renderers)
         start = located("--start", self.start)
         reached = train_planner(self.dataset, self.out, config, console, start)
         for name, value in reached.means().items():

@@ -36,6 +36,8 @@ from recast.training.loop import StepLoss, StepRandom
 from recast.training.state import TrainerSettings, overridden
 from recast_tools.planner_training.samples import (
     CLUES,
+    RENDERERS,
+    Renderer,
     SampleStore,
     augment,
     mirror_clues,
@@ -399,7 +401,7 @@ class PlannerTrainingConfig(Record):
         scoring: score weights of the exported planner, by which it is judged too.
         batch: samples a step, even.
         kept: primitives that are scored in a step.
-        oracle_only: leave out samples that show a reconstruction, those held out too.
+        renderers: leave out samples that another one rendered, those held out too.
         as_recorded: leave out samples that show a vehicle which was placed: what a recording has.
         judged: held-out samples that each line of the log is judged on; at the end all are.
         sheet_every: steps between sheets of held-out decisions; 0 draws none.
@@ -419,14 +421,17 @@ class PlannerTrainingConfig(Record):
     scoring: ScoreWeights = MINI_SCORING
     batch: int = Field(default=8, ge=2, multiple_of=2)
     kept: int = Field(default=192, ge=1)
-    oracle_only: bool = False
+    renderers: tuple[Renderer, ...] = Field(default=RENDERERS, min_length=1)
     as_recorded: bool = False
     judged: int = Field(default=96, ge=2)
     sheet_every: int = Field(default=2_000, ge=0)
 
 
 def chosen_training(
-    path: Path | None, seed: int = 0, steps: int | None = None, oracle_only: bool = False
+    path: Path | None,
+    seed: int = 0,
+    steps: int | None = None,
+    renderers: Sequence[Renderer] | None = None,
 ) -> PlannerTrainingConfig:
     """The shipped planner's settings, with what a JSON file and the arguments say instead.
 
@@ -444,8 +449,8 @@ def chosen_training(
     chosen["trainer"]["seed"] = seed
     if steps is not None:
         chosen["trainer"]["steps"] = steps
-    if oracle_only:
-        chosen["oracle_only"] = True
+    if renderers is not None:
+        chosen["renderers"] = list(renderers)
     try:
         return PlannerTrainingConfig.model_validate(chosen)
     except ValidationError as error:

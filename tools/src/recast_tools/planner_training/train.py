@@ -176,9 +176,7 @@ def _open(
     datasets: Sequence[Path], config: PlannerTrainingConfig, start: Path | None = None
 ) -> _Setting:
     store = SampleStore(*datasets)
-    used = np.ones(len(store), np.bool_)
-    if config.oracle_only:
-        used &= store.renderer == RENDERERS.index("oracle")
+    used = np.isin(store.renderer, [RENDERERS.index(name) for name in config.renderers])
     if config.as_recorded:
         used &= store.clues[:, 0] == 0
     train_on = np.flatnonzero(used & ~store.held_out)
@@ -188,7 +186,8 @@ def _open(
             datasets[0],
             "samples",
             f"{len(train_on)} for training and {len(held_out)} held out are too few",
-            f"make at least {config.batch} for training and 2 held out (every tenth world)",
+            f"make at least {config.batch} for training and 2 held out (every tenth world), "
+            "rendered by one of `renderers`",
         )
     seed = config.trainer.seed
     model = first_model(seed, config.network)
