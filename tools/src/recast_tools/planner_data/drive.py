@@ -47,6 +47,9 @@ sees no car beside it but those that cut in brakes for these."""
 _CALM = {"leading": 0.75, "cut-in": 0.5}
 """Shares of the cars ahead that drive on about as fast as they did. Where half of them brake, the
 best that a planner can do behind any car is to brake."""
+_TIGHT, _REACTS = 0.6, 0.5
+"""Share of the oncoming cars that leave the ego just what it needs to stop with 2.5 to 6 m/s^2, and
+the seconds until it brakes: where one mostly stops far off, calm braking is the best bet."""
 _TRAFFIC_WITH, _TRAFFIC_BESIDE = 0.75, 0.5
 """Shares of drives with the log's traffic: of ordinary ones, and of those with an actor."""
 _ABOUT = (0.75, 1.15)
@@ -279,11 +282,11 @@ def _script(
         actor_size=stage.world.vehicles[token].model.size,
         neighbour_lateral=0.0 if kind == "leading" else beside,
     )
-    return _motion(kind, rng).script(start, _STEPS * MOMENTS + FORESEEN, _DT)
+    return _motion(kind, speed, rng).script(start, _STEPS * MOMENTS + FORESEEN, _DT)
 
 
-def _motion(kind: str, rng: np.random.Generator) -> ScriptMotion:
-    """A motion with settings around those of the built-in scenarios."""
+def _motion(kind: str, speed: float, rng: np.random.Generator) -> ScriptMotion:
+    """A motion with settings around those of the built-in scenarios, for an ego's speed, m/s."""
 
     def between(low: float, high: float) -> float:
         return float(rng.uniform(low, high))
@@ -300,10 +303,14 @@ def _motion(kind: str, rng: np.random.Generator) -> ScriptMotion:
             lateral=between(-0.8, 0.8),
         )
     if kind in ("oncoming", "through"):
+        gap = between(25, 70)
         stop = between(5, 30) if kind == "oncoming" else None
+        if kind == "oncoming" and rng.uniform() < _TIGHT:
+            needed = _REACTS * speed + speed**2 / (2.0 * between(2.5, 6.0)) + 1.0
+            stop = max(gap - needed, 5.0)
         return Oncoming(
             "random",
-            gap=between(25, 70),
+            gap=gap,
             speed=between(2, 8),
             stop_distance=stop,
             lateral=between(-0.5, 0.6),
