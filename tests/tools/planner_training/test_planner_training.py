@@ -1,4 +1,3 @@
-import json
 import re
 import shutil
 from pathlib import Path
@@ -36,7 +35,7 @@ from recast_tools.planner_training.task import (
     chosen_training,
     first_model,
 )
-from recast_tools.planner_training.train import TRAINING_FILE, export_planner, train_planner
+from recast_tools.planner_training.train import export_planner, train_planner
 
 TINY = GtrsConfig(
     backbone=BackboneConfig(
@@ -123,30 +122,6 @@ def test_reconstructed_samples_can_be_left_out(small_dataset: Path, tmp_path: Pa
         train_planner([mixed], tmp_path / "none", config(3, renderers=("native",)), QUIET)
 
 
-def test_a_training_as_recorded_sees_no_vehicle_that_was_placed(
-    small_dataset: Path, tmp_path: Path
-) -> None:
-    """Twins neither: only they differ in it."""
-    shutil.copytree(small_dataset, tmp_path / "more")
-    both = [small_dataset, tmp_path / "more"]
-    train_planner(both, tmp_path / "out", config(2, as_recorded=True), QUIET)
-    record = json.loads((tmp_path / "out" / TRAINING_FILE).read_bytes())
-    assert (record["samples"], record["held_out"]) == (18, 2)  # a half
-    store = SampleStore(small_dataset)
-    alone = np.flatnonzero(store.clues[:, 0] == 0)
-    task, seen = GtrsTask(store, alone, first_model(0, TINY), 4, 16), []
-    gather = task.gather
-
-    def watched(chosen: np.ndarray, *parts: Any) -> Batch:
-        seen.append(chosen)
-        return gather(chosen, *parts)
-
-    task.gather = watched  # type: ignore[method-assign]
-    for step in range(4):
-        task.loss(step, StepRandom.of(0, step))
-    assert np.isin(np.concatenate(seen), alone).all()
-
-
 def test_another_training_in_the_same_folder_is_refused(
     small_dataset: Path, tmp_path: Path
 ) -> None:
@@ -172,6 +147,15 @@ def test_a_training_may_begin_from_a_planner(small_dataset: Path, tmp_path: Path
     ended = export_planner(then, [small_dataset], tmp_path / "ended").model
     for name, value in begun.named_parameters():
         torch.testing.assert_close(ended.state_dict()[name], value, rtol=0, atol=1e-6)
+    eyes = still.model_copy(update={"eyes_alone": True})
+    with pytest.raises(InputError, match="eyes_alone: needs a planner's backbone"):
+        train_planner([small_dataset], tmp_path / "blind", eyes, QUIET)
+    train_planner([small_dataset], tmp_path / "eyes", eyes, QUIET, tmp_path / "planner")
+    seeing = export_planner(tmp_path / "eyes", [small_dataset], tmp_path / "seeing").model
+    drawn = dict(first_model(0, TINY).named_parameters())
+    for name, value in seeing.named_parameters():
+        given = begun.get_parameter(name) if name.startswith("_backbone.") else drawn[name]
+        torch.testing.assert_close(value, given, rtol=0, atol=1e-3)  # float16, below 1
     with pytest.raises(InputError, match="start_sha256"):  # it is another training without it
         train_planner([small_dataset], then, still, QUIET)
     with pytest.raises(InputError, match="other network sizes"):
