@@ -147,15 +147,6 @@ def test_a_training_may_begin_from_a_planner(small_dataset: Path, tmp_path: Path
     ended = export_planner(then, [small_dataset], tmp_path / "ended").model
     for name, value in begun.named_parameters():
         torch.testing.assert_close(ended.state_dict()[name], value, rtol=0, atol=1e-6)
-    eyes = still.model_copy(update={"eyes_alone": True})
-    with pytest.raises(InputError, match="eyes_alone: needs a planner's backbone"):
-        train_planner([small_dataset], tmp_path / "blind", eyes, QUIET)
-    train_planner([small_dataset], tmp_path / "eyes", eyes, QUIET, tmp_path / "planner")
-    seeing = export_planner(tmp_path / "eyes", [small_dataset], tmp_path / "seeing").model
-    drawn = dict(first_model(0, TINY).named_parameters())
-    for name, value in seeing.named_parameters():
-        given = begun.get_parameter(name) if name.startswith("_backbone.") else drawn[name]
-        torch.testing.assert_close(value, given, rtol=0, atol=1e-3)  # float16, below 1
     with pytest.raises(InputError, match="start_sha256"):  # it is another training without it
         train_planner([small_dataset], then, still, QUIET)
     with pytest.raises(InputError, match="other network sizes"):

@@ -402,8 +402,6 @@ class PlannerTrainingConfig(Record):
         batch: samples a step, even.
         kept: primitives that are scored in a step.
         renderers: leave out samples that another one rendered, those held out too.
-        eyes_alone: of the planner that the training starts from, take the backbone alone: what sees
-            is given, as by a pre-training on images, and what decides is drawn.
         judged: held-out samples that each line of the log is judged on; at the end all are.
         sheet_every: steps between sheets of held-out decisions; 0 draws none.
     """
@@ -423,7 +421,6 @@ class PlannerTrainingConfig(Record):
     batch: int = Field(default=8, ge=2, multiple_of=2)
     kept: int = Field(default=192, ge=1)
     renderers: tuple[Renderer, ...] = Field(default=RENDERERS, min_length=1)
-    eyes_alone: bool = False
     judged: int = Field(default=96, ge=2)
     sheet_every: int = Field(default=2_000, ge=0)
 

@@ -102,12 +102,8 @@ def train_planner(
 
     Raises:
         InputError: the datasets are too small or broken, or do not go together, `start` is no such
-            planner, or is missing where its backbone is to be taken, or `out` holds another
-            training.
+            planner, or `out` holds another training.
     """
-    if config.eyes_alone and start is None:
-        mend = "name the planner to start from, or leave `eyes_alone` out"
-        raise InputError("training", "eyes_alone", "needs a planner's backbone", mend)
     setting = _open(datasets, config, start)
     _check_same(out, setting.record)
     out.mkdir(parents=True, exist_ok=True)
@@ -194,7 +190,7 @@ def _open(
     seed = config.trainer.seed
     model = first_model(seed, config.network)
     if start is not None:
-        _begin_from(model, start, "_backbone." if config.eyes_alone else "")
+        _begin_from(model, start)
     record = PlannerTrainingRecord(
         config=config,
         dataset_sha256=[hash_files(one, [one / RECORD_FILE]) for one in datasets],
@@ -207,9 +203,8 @@ def _open(
     return _Setting(store, task, held_out, record)
 
 
-def _begin_from(model: GtrsModel, folder: Path, part: str) -> None:
-    """Give a model the weights of a planner's folder, whatever it chooses from, whose names begin
-    with `part`."""
+def _begin_from(model: GtrsModel, folder: Path) -> None:
+    """Give a model the weights of a planner's folder, whatever it chooses from."""
     found = load_gtrs(folder).model
     alike = found.config.model_copy(update={"history": model.config.history})
     if alike != model.config or (found.config.history and not model.config.history):
@@ -219,7 +214,7 @@ def _begin_from(model: GtrsModel, folder: Path, part: str) -> None:
             "has other network sizes than the model to train",
             "name another planner, or give its sizes as `network` with `config`",
         )
-    given = {name: value for name, value in found.state_dict().items() if name.startswith(part)}
+    given = found.state_dict()
     # What looks at an earlier image is as it was drawn where the planner did not look at one.
     model.load_state_dict({**model.state_dict(), **given})
 
