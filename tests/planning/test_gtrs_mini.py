@@ -16,6 +16,7 @@ from recast.planning import (
     shipped_folder,
 )
 from recast.planning.gtrs import GtrsPlanner
+from recast.planning.registry import SHIPPED
 from recast.synthetic import make_rig, make_world
 from recast.synthetic.world import World, exposure
 from recast.synthetic.write import Oracle
@@ -23,7 +24,6 @@ from recast.synthetic.write import Oracle
 pytest.importorskip("embreex")
 
 SPEED = 9.0
-SHIPPED = ("gtrs-mini", "gtrs-mini-oracle")
 
 
 @pytest.fixture(scope="module")

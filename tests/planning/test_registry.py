@@ -19,6 +19,7 @@ from recast.planning import (
     planner_source,
     shipped_folder,
 )
+from recast.planning.registry import SHIPPED
 
 PLUGIN = """
 class Mine:
@@ -54,7 +55,7 @@ def test_built_in_planners_by_name(name: str) -> None:
 
 
 def test_the_shipped_planner_is_a_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    for name in ("gtrs-mini", "gtrs-mini-oracle"):
+    for name in SHIPPED:
         assert name in PLANNERS.names()
         assert planner_folder(name) == shipped_folder(name)
         assert make_planner(name).name == name

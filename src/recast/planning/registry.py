@@ -15,9 +15,10 @@ from recast.planning.types import BasePlanner, Planner
 
 DEVICE_PATTERN = r"auto|cpu|cuda(:\d{1,3})?"
 """What users may say, as a regular expression."""
-GTRS_MINI, GTRS_MINI_ORACLE = "gtrs-mini", "gtrs-mini-oracle"
-"""Planners that come with the package, each in a folder of its name; the second one never saw a
-reconstructed image."""
+GTRS_MINI = "gtrs-mini"
+SHIPPED = (GTRS_MINI, "gtrs-mini-oracle", "gtrs-mini-replaced")
+"""Planners that come with the package, each in a folder of its name. The second one never saw a
+reconstructed image; what the third saw of vehicles that do what no log has were replaced ones."""
 
 
 @checked()
@@ -50,7 +51,7 @@ def planner_folder(name: str) -> Path | None:
 
     It need not be there.
     """
-    if name in (GTRS_MINI, GTRS_MINI_ORACLE):
+    if name in SHIPPED:
         return shipped_folder(name)
     return PLANNERS.place(name)
 
@@ -109,7 +110,12 @@ def gtrs_mini_planner(device: str = "cpu") -> Planner:
 
 def gtrs_mini_oracle_planner(device: str = "cpu") -> Planner:
     """The planner `gtrs-mini-oracle`; see `gtrs_mini_planner`."""
-    return _shipped(GTRS_MINI_ORACLE, device)
+    return _shipped("gtrs-mini-oracle", device)
+
+
+def gtrs_mini_replaced_planner(device: str = "cpu") -> Planner:
+    """The planner `gtrs-mini-replaced`; see `gtrs_mini_planner`."""
+    return _shipped("gtrs-mini-replaced", device)
 
 
 def _shipped(name: str, device: str) -> Planner:

@@ -189,6 +189,7 @@ _SHIPPED = {
     "recast-parametric": (_PACKAGE / "actors/parametric", ()),
     "gtrs-mini": (_PACKAGE / "planning", ("--start", "--driver")),
     "gtrs-mini-oracle": (_PACKAGE / "planning", ("--start", "--driver")),
+    "gtrs-mini-replaced": (_PACKAGE / "planning", ("--start", "--driver")),
 }
 """Networks that come with the package: name to the folder above and the options that take it."""
 

@@ -34,8 +34,8 @@ class Dataset:
     driver: Annotated[
         Path | None,
         shared.option(
-            "Folder of the planner that drives every second drive, or gtrs-mini or "
-            "gtrs-mini-oracle (in the package): the samples show what it comes to.",
+            "Folder of the planner that drives every second drive, or one of the package, such as "
+            "gtrs-mini: the samples show what it comes to.",
             "an expert that knows the scores drives all",
         ),
     ] = None
@@ -151,8 +151,8 @@ class PlannerTrain:
     start: Annotated[
         Path | None,
         shared.option(
-            "Planner folder with the initial weights, gtrs-mini or gtrs-mini-oracle (in the "
-            "package); its network must have the same sizes.",
+            "Planner folder with the initial weights, or one of the package, such as gtrs-mini; "
+            "its network must have the same sizes.",
             "random weights",
         ),
     ] = None
