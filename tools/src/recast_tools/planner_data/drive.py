@@ -50,6 +50,9 @@ best that a planner can do behind any car is to brake."""
 _TIGHT, _REACTS = 0.6, 0.5
 """Share of the oncoming cars that leave the ego just what it needs to stop with 2.5 to 6 m/s^2, and
 the seconds until it brakes: where one mostly stops far off, calm braking is the best bet."""
+_AWAY = 0.75
+"""Share of the standing cars that show their rear. Nearly all others that do so drive: a planner
+that meets few of these takes every rear for one that drives on."""
 _TRAFFIC_WITH, _TRAFFIC_BESIDE = 0.75, 0.5
 """Shares of drives with the log's traffic: of ordinary ones, and of those with an actor."""
 _ABOUT = (0.75, 1.15)
@@ -293,12 +296,12 @@ def _motion(kind: str, speed: float, rng: np.random.Generator) -> ScriptMotion:
 
     calm = kind in _CALM and rng.uniform() < _CALM[kind]
     if kind == "stationary":
-        yaw = between(-0.3, 0.3) + (np.pi if rng.uniform() < 0.5 else 0.0)
+        yaw = between(-0.3, 0.3) + (np.pi if rng.uniform() < _AWAY else 0.0)
         return Stationary(
             "random",
             min_gap=between(12, 60),
-            braking=3.0,
-            reserve=5.0,
+            braking=between(3.0, 6.0),
+            reserve=between(2.0, 6.0),
             yaw=yaw,
             lateral=between(-0.8, 0.8),
         )
