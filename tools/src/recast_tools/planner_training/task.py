@@ -361,8 +361,8 @@ MINI_SCORING = ScoreWeights(
     comfort=10.0,
     blended=20.0,
 )
-"""Weights of the final score, chosen on six streets of seed 31: by 160 moments of recorded drives and
-in 36 scenarios in closed loop with the truth. See docs/train_the_small_planner.md."""
+"""Weights of the final score, chosen on six streets of seed 31: on 160 moments of recorded drives
+and in 36 scenarios in closed loop with the truth. See docs/train_the_small_planner.md."""
 
 _USUAL = {
     "no_at_fault_collisions": 1.0,
