@@ -87,6 +87,5 @@ def test_it_drives_less_far_the_nearer_a_car_stands(world: World, name: str) -> 
     free, far, near = metres
     assert free > 20.0
     assert far < free - 3.0
-    # A car that stands so near comes up in no sample at this speed: one that looks at motion takes
-    # it for one that drives on, though slowly.
-    assert near < (12.0 if name == "gtrs-mini" else free - 5.0)
+    # Motion decides little yet where a car shows its rear: nearly all such cars drive.
+    assert near < free - 5.0
