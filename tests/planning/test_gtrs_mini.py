@@ -32,9 +32,11 @@ def world() -> World:
     return make_world("urban-straight", 2, 4.0)
 
 
-def looking(world: World, gap: float | None, back: float = 0.0) -> dict[str, np.ndarray]:
+def looking(
+    world: World, gap: float | None, back: float = 0.0, *, faces: bool = False
+) -> dict[str, np.ndarray]:
     """Pictures at half the size of runs from `back` metres behind a place, with a car standing
-    `gap` metres ahead, or none."""
+    `gap` metres ahead, or none; it `faces` the ego or shows its rear."""
     world_from_rig, poses = world.ego.poses[20].copy(), {}
     if gap is not None:
         size = world.vehicles[world.target].model.size
@@ -42,6 +44,8 @@ def looking(world: World, gap: float | None, back: float = 0.0) -> dict[str, np.
         ahead = PACIFICA.length / 2 + PACIFICA.centre_offset + gap + size[0] / 2
         pose[:3, 3] += (ahead - back) * pose[:3, 0]
         pose[2, 3] += size[2] / 2
+        if faces:
+            pose[:3, :2] *= -1.0
         poses[world.target] = pose
     world_from_rig[:3, 3] -= back * world_from_rig[:3, 0]
     oracle, rng = Oracle(world), np.random.default_rng(0)
@@ -65,27 +69,34 @@ def test_it_is_whole_and_small(name: str) -> None:
 
 @pytest.mark.parametrize("name", SHIPPED)
 def test_it_drives_less_far_the_nearer_a_car_stands(world: World, name: str) -> None:
+    free, far, near = (planned_metres(world, name, gap) for gap in (None, 25.0, 12.0))
+    assert free > 20.0
+    assert far < free - 3.0
+    # Motion decides little yet where a car shows its rear: nearly all such cars drive.
+    assert near < free - 5.0
+
+
+@pytest.mark.parametrize("name", SHIPPED)
+def test_it_stops_for_a_car_that_faces_it(world: World, name: str) -> None:
+    assert planned_metres(world, name, 25.0, faces=True) < 25.0
+    assert planned_metres(world, name, 12.0, faces=True) < 16.0
+
+
+def planned_metres(world: World, name: str, gap: float | None, *, faces: bool = False) -> float:
+    """Metres that it plans to drive in 4 s at 9 m/s, a second after it first saw the car."""
     planner = make_planner(name)
     mounts = {
         k: CameraMount(m.camera, m.rig_from_camera) for k, m in make_rig(240, 160).cameras.items()
     }
     route = ReferenceRoute.from_trajectory(world.ego)
-    context = PlanningContext(route, world.ego, cameras=mounts)
+    planner.reset(PlanningContext(route, world.ego, cameras=mounts))
     state = make_state(np.zeros(3), speed=SPEED)
-    metres = []
-    for gap in (None, 25.0, 12.0):
-        planner.reset(context)
-        for step, back in enumerate((1.0, 0.5, 0.0)):  # seconds
-            metres_back = SPEED * back
-            ahead = None if gap is None else gap + metres_back
-            images = looking(world, ahead, metres_back)
-            seen = PlannerInput(
-                step, 500_000 * step, state, state[None], (), DrivingCommand.STRAIGHT, images
-            )
-            plan = planner.plan(seen)
-        metres.append(float(plan.waypoints[-1, 0]))
-    free, far, near = metres
-    assert free > 20.0
-    assert far < free - 3.0
-    # Motion decides little yet where a car shows its rear: nearly all such cars drive.
-    assert near < free - 5.0
+    for step, back in enumerate((1.0, 0.5, 0.0)):  # seconds
+        metres_back = SPEED * back
+        ahead = None if gap is None else gap + metres_back
+        images = looking(world, ahead, metres_back, faces=faces)
+        seen = PlannerInput(
+            step, 500_000 * step, state, state[None], (), DrivingCommand.STRAIGHT, images
+        )
+        plan = planner.plan(seen)
+    return float(plan.waypoints[-1, 0])

@@ -45,11 +45,7 @@ class Dataset:
     reconstructed: float = 0.0
     """Share of the worlds that are shown by a reconstructed street instead of the oracle, with the
     target as reconstructed, replaced, and replaced and refined (0 to 1)."""
-    renderers: tuple[_Renderer, ...] = (
-        "native",
-        "replaced",
-        "refined",
-    )
+    renderers: tuple[_Renderer, ...] = get_args(_Renderer)[1:]
     """What shows the drives in reconstructed worlds, in turn."""
     street_steps: int = 1000
     """Number of training steps of each reconstructed street."""
