@@ -11,7 +11,7 @@ from recast.dynamics import PACIFICA
 from recast.geometry.boxes import bev_corners
 from recast.planning.gtrs import PRIMITIVES
 from recast.planning.gtrs.model import GtrsModel, new_model
-from recast.planning.gtrs.perception import COLUMN_SCALES, ColumnTokens, Foresight
+from recast.planning.gtrs.perception import COLUMN_SCALES, ColumnTokens, Foresight, metres
 from recast.planning.pdm.forecast import box_centres
 
 
@@ -77,6 +77,25 @@ def test_how_much_earlier_matters(model: GtrsModel) -> None:
     now, earlier = features(model, 0), features(model, 1)
     half = model.look(now, earlier, torch.full((2,), 0.5))
     assert (half - model.look(now, earlier, torch.ones(2))).abs().max() > 1e-3
+
+
+@torch.no_grad()
+def test_how_much_nearer_it_came_is_carried_past_all_layers(model: GtrsModel) -> None:
+    """What these learnt of the usual motion of what is seen cannot drown it."""
+    columns = model.get_submodule("_columns")
+    assert isinstance(columns, ColumnTokens)
+    for parameter in columns.compare.parameters():
+        parameter.zero_()
+    now, earlier = (model.image_tokens(features(model, seed, 1)) for seed in (0, 1))
+    stands = model.foresight.stands
+    found = columns(now, earlier, torch.tensor([0.5]), stands)[0]
+    here, there = (stands(columns._seen(tokens))[0] for tokens in (now, earlier))
+    for column, token in enumerate(found[model.config.token_columns :]):
+        far, was = metres(here[column]), metres(there[column])
+        sure = here[column, 0].sigmoid() * there[column, 0].sigmoid()
+        came = sure * (far - was) / 0.5 / 5.0
+        carried = columns.carry(torch.stack([came, came / (1.0 + (far / 20.0) ** 2)]))
+        torch.testing.assert_close(token, carried)
 
 
 class TestForesight:

@@ -313,17 +313,29 @@ def test_a_missing_picture_is_told(small_dataset: Path, tmp_path: Path) -> None:
 def test_rare_kinds_are_drawn_more_often(small_dataset: Path) -> None:
     """As the root of their number, whatever comes of them."""
     store = SampleStore(small_dataset)
-    store.clues[:] = 0.0
+    store.clues[:], store.columns[:] = 0.0, 0.0
     store.clues[:4, :4] = 1.0, 12.0, 3.3, 1.0  # beside the lane
     store.clues[4:8, :4] = 1.0, 12.0, -3.3, 1.0  # on the other side
     store.clues[8, :4] = 1.0, 12.0, 0.2, -1.0  # facing the ego
+    store.clues[9:12, :4] = 1.0, 12.0, 0.2, 1.0  # it shows its rear
+    store.columns[9:12, 16] = 1.0, np.log(10.0), 1.0, 0.0, -1.0, 0.0
+    store.columns[9:12, 20] = (
+        1.0,
+        np.log(30.0),
+        -1.0,
+        0.0,
+        -9.0,
+        0.0,
+    )  # farther, and not what counts
+    store.columns[9, 16, 4] = -7.0  # and is closed in on
     store.before[:] = 0
     store.before[0] = -1
     chances = balanced(store, np.arange(20))
-    groups = {"first": [0], "beside": range(1, 8), "facing": [8], "free": range(9, 20)}
+    groups = {"first": [0], "beside": range(1, 8), "facing": [8], "free": range(12, 20)}
+    groups |= {"closing": [9], "rear": [10, 11]}
     mass = {name: chances[list(rows)].sum() for name, rows in groups.items()}
     for name, rows in groups.items():
         assert mass[name] / mass["first"] == pytest.approx(np.sqrt(len(rows)))
     assert chances.sum() == pytest.approx(1.0)
-    again = balanced(store, np.arange(8, 20))
-    assert again[0] / again[1:].sum() == pytest.approx(1 / np.sqrt(11))
+    again = balanced(store, np.arange(9, 20))
+    assert again[0] / again[3:].sum() == pytest.approx(1 / np.sqrt(8))

@@ -180,6 +180,9 @@ _NARROW = 32
 """Channels of an image token within a column."""
 _FAST = 5.0
 """m/s, the usual size of what is compared."""
+_CLEAR = 20.0
+"""Metres up to which how much nearer something came says well how fast it comes: what is misread of
+a distance grows with the distance."""
 
 
 class ColumnTokens(nn.Module):
@@ -187,7 +190,9 @@ class ColumnTokens(nn.Module):
 
     The first is made from each image alone, in the same way. The second is made from those of both
     images beside each other, and from how much nearer what stands there came, which is what motion
-    is read from; it would take many samples until a network finds that by itself.
+    is read from; it would take many samples until a network finds that by itself. That is carried
+    past the layers that compare, too: nearly all cars that show their rear drive, and what they
+    learn of that would outweigh what was measured.
     """
 
     def __init__(self, config: GtrsConfig) -> None:
@@ -204,6 +209,7 @@ class ColumnTokens(nn.Module):
         self.compare = nn.Sequential(
             nn.Conv1d(compared, d, 5, padding=2), nn.ReLU(), nn.Conv1d(d, d, 3, padding=1)
         )
+        self.carry = nn.Linear(2, d, bias=False)
         self.unknown = PositionEmbedding(config.token_columns, d)
 
     def forward(
@@ -229,11 +235,13 @@ class ColumnTokens(nn.Module):
             seconds = torch.where(age > 0.0, age, torch.ones_like(age))
             here, there = stands(seen), stands(before)
             both = here[..., :1].sigmoid() * there[..., :1].sigmoid()
-            came = both * (metres(here) - metres(there))[..., None] / (seconds * _FAST)
+            far = metres(here)[..., None]
+            came = both * (far - metres(there)[..., None]) / (seconds * _FAST)
             seconds = seconds.expand_as(came)
             parts = torch.cat([seen, before, here, there, came, seconds], dim=-1)
             compared = self.compare(parts.transpose(1, 2)).transpose(1, 2)
-            moving = torch.where(age > 0.0, compared, moving)
+            carried = self.carry(torch.cat([came, came / (1.0 + (far / _CLEAR) ** 2)], dim=-1))
+            moving = torch.where(age > 0.0, compared + carried, moving)
         return torch.cat([seen, moving], dim=1)
 
     def _seen(self, tokens: Tensor) -> Tensor:

@@ -56,6 +56,8 @@ _COLUMNS, _EXACT = 3.0, 0.3
 usual sizes, from which on it counts linearly."""
 _BESIDE, _FAR = 2.0, 22.0
 """Metres to one side, and ahead of the rear axle: kinds of samples."""
+_CLOSING = 5.0
+"""m/s by which the ego is faster than what is nearest: one more kind."""
 _FORGOTTEN = 0.15
 """Share of the samples whose earlier image is left out, as at the first moment of a run."""
 
@@ -283,7 +285,10 @@ def balanced(store: SampleStore, indices: NDArray[np.int64]) -> Array:
     """
     present, x, y, along = store.clues[indices, :4].T
     beside, far = np.abs(y) > _BESIDE, x > _FAR
-    kind = (present > 0) * (1 + beside + 2 * far + 4 * (along < 0))
+    columns = store.columns[indices]
+    nearest = (columns[..., 0] * (10.0 - columns[..., 1])).argmax(axis=1)
+    closing = columns[np.arange(len(columns)), nearest, 4] < -_CLOSING
+    kind = (present > 0) * (1 + beside + 2 * far + 4 * (along < 0) + 8 * closing)
     _, number, counts = np.unique(
         2 * kind + (store.before[indices] < 0), return_inverse=True, return_counts=True
     )
