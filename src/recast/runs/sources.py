@@ -38,8 +38,8 @@ RECIPES = {
     "truth": 5,
     "rollout": 8,
     "scene-level": 3,
-    "metrics": 8,
-    "report": 8,
+    "metrics": 9,
+    "report": 9,
 }
 """Version of what recast's own code makes of the inputs of a step.
 

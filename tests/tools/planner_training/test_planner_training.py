@@ -154,6 +154,29 @@ def test_a_training_may_begin_from_a_planner(small_dataset: Path, tmp_path: Path
         train_planner([small_dataset], tmp_path / "third", bigger, QUIET, tmp_path / "planner")
 
 
+def test_a_planner_may_be_the_mean_of_two(small_dataset: Path, tmp_path: Path) -> None:
+    weights = []
+    for seed in (0, 1):
+        trainer = config(2).trainer.model_copy(update={"seed": seed})
+        said = config(2).model_copy(update={"trainer": trainer})
+        train_planner([small_dataset], tmp_path / f"training-{seed}", said, QUIET)
+        planner = tmp_path / f"planner-{seed}"
+        export_planner(tmp_path / f"training-{seed}", [small_dataset], planner)
+        weights.append(make_planner(str(planner)).model.state_dict())
+    last, out = tmp_path / "training-1", tmp_path / "mean"
+    export_planner(last, [small_dataset], out, tmp_path / "planner-0", 0.25)
+    mean = make_planner(str(out)).model.state_dict()
+    for name, value in mean.items():
+        if value.is_floating_point():
+            parts = 0.25 * weights[0][name], 0.75 * weights[1][name]
+            # Each part and the mean are rounded to 11 bits; float16 ends at 6e-8.
+            bound = 2 * 2**-11 * (parts[0].abs() + parts[1].abs()) + 2e-7
+            assert bool(((value - sum(parts)).abs() <= bound).all())
+    with pytest.raises(InputError, match="share"):
+        export_planner(last, [small_dataset], tmp_path / "none", tmp_path / "planner-0", 1.5)
+    assert not (tmp_path / "none").exists()
+
+
 def test_a_batch_holds_every_speed_of_a_picture(small_dataset: Path) -> None:
     """With part of the primitives and a mirror, entries are those taken one by one."""
     store = SampleStore(small_dataset)

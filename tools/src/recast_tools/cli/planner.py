@@ -194,11 +194,21 @@ class PlannerExport:
     ]
     out: Path
     """Folder to write; must not exist."""
+    mean_with: Annotated[
+        Path | None,
+        shared.option(
+            "Planner folder, such as the one that the training began with: the weights written are "
+            "the mean of its and the training's.",
+            "the training's weights alone",
+        ),
+    ] = None
+    share: float = 0.5
+    """Share that the weights of `mean_with` have in the mean (0 to 1)."""
 
     def __call__(self) -> None:
         from recast_tools.planner_training.train import export_planner
 
-        export_planner(self.training, self.dataset, self.out)
+        export_planner(self.training, self.dataset, self.out, self.mean_with, self.share)
         size = sum(path.stat().st_size for path in self.out.iterdir())
         console_for(False).print(f"wrote {self.out}: {size / 1e6:.1f} MB", markup=False)
 

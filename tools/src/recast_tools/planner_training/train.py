@@ -11,7 +11,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 from rich.console import Console
-from torch import nn
+from torch import Tensor, nn
 
 from recast.core.errors import InputError
 from recast.core.files import folder_name, write_bytes, write_json
@@ -139,12 +139,27 @@ def train_planner(
     return reached
 
 
-def export_planner(training: Path, datasets: Sequence[Path], out: Path) -> GtrsPlanner:
+def export_planner(
+    training: Path,
+    datasets: Sequence[Path],
+    out: Path,
+    mean_with: Path | None = None,
+    share: float = 0.5,
+) -> GtrsPlanner:
     """Write the planner of a training, finished or not, as a folder in float16; it has its name.
 
+    Args:
+        mean_with: folder of a planner of the same sizes, such as the one that the training began
+            with, whose weights count for `share` of the mean with those of the training.
+            Fine-tuned networks forget less so (Wortsman et al., "Robust fine-tuning of zero-shot
+            models", 2022).
+
     Raises:
-        InputError: no training is there, or it is of another dataset; `out` exists.
+        InputError: no training is there, or it is of another dataset; `out` exists; `mean_with` is
+            no such planner; `share` is not between 0 and 1.
     """
+    if not 0.0 <= share <= 1.0:
+        raise InputError("export", "share", f"is {share:g}", "give a share between 0 and 1")
     found = read_record(
         training / TRAINING_FILE,
         PlannerTrainingRecord,
@@ -160,9 +175,15 @@ def export_planner(training: Path, datasets: Sequence[Path], out: Path) -> GtrsP
     state.read(training, trainer)
     if state.step == 0:
         raise InputError(training, "checkpoint", "is missing", "train for some steps first")
+    model = setting.task.model
+    other = None if mean_with is None else _weights_for(model, mean_with)
     _take_averages(state, setting.task, trainer.seed)
+    if other is not None:
+        own = model.state_dict()
+        mean = {name: own[name].lerp(other[name], share) for name in own if name in other}
+        model.load_state_dict({**own, **mean})
     planner = GtrsPlanner(
-        setting.task.model,
+        model,
         setting.store.record.primitives,
         MINI_VIEWS,
         name=folder_name(out.resolve().name),
@@ -205,6 +226,12 @@ def _open(
 
 def _begin_from(model: GtrsModel, folder: Path) -> None:
     """Give a model the weights of a planner's folder, whatever it chooses from."""
+    # What looks at an earlier image is as it was drawn where the planner did not look at one.
+    model.load_state_dict({**model.state_dict(), **_weights_for(model, folder)})
+
+
+def _weights_for(model: GtrsModel, folder: Path) -> dict[str, Tensor]:
+    """Weights of a planner's folder by name, which have the sizes of a model's."""
     found = load_gtrs(folder).model
     alike = found.config.model_copy(update={"history": model.config.history})
     if alike != model.config or (found.config.history and not model.config.history):
@@ -214,9 +241,7 @@ def _begin_from(model: GtrsModel, folder: Path) -> None:
             "has other network sizes than the model to train",
             "name another planner, or give its sizes as `network` with `config`",
         )
-    given = found.state_dict()
-    # What looks at an earlier image is as it was drawn where the planner did not look at one.
-    model.load_state_dict({**model.state_dict(), **given})
+    return {k: v for k, v in found.state_dict().items() if v.is_floating_point()}
 
 
 def _check_same(folder: Path, record: PlannerTrainingRecord) -> None:
