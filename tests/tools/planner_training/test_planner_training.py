@@ -342,15 +342,9 @@ def test_rare_kinds_are_drawn_more_often(small_dataset: Path) -> None:
     store.clues[8, :4] = 1.0, 12.0, 0.2, -1.0  # facing the ego
     store.clues[9:12, :4] = 1.0, 12.0, 0.2, 1.0  # it shows its rear
     store.columns[9:12, 16] = 1.0, np.log(10.0), 1.0, 0.0, -1.0, 0.0
-    store.columns[9:12, 20] = (
-        1.0,
-        np.log(30.0),
-        -1.0,
-        0.0,
-        -9.0,
-        0.0,
-    )  # farther, and not what counts
-    store.columns[9, 16, 4] = -7.0  # and is closed in on
+    # What is farther does not count.
+    store.columns[9:12, 20] = 1.0, np.log(30.0), -1.0, 0.0, -9.0, 0.0
+    store.columns[9, 16, 4] = -7.0  # it is closed in on
     store.before[:] = 0
     store.before[0] = -1
     chances = balanced(store, np.arange(20))

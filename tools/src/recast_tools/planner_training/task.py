@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TypeVar
 
 import numpy as np
 import torch
@@ -286,7 +287,7 @@ def balanced(store: SampleStore, indices: NDArray[np.int64]) -> Array:
     present, x, y, along = store.clues[indices, :4].T
     beside, far = np.abs(y) > _BESIDE, x > _FAR
     columns = store.columns[indices]
-    nearest = (columns[..., 0] * (10.0 - columns[..., 1])).argmax(axis=1)
+    nearest = _nearness(columns).argmax(axis=1)
     closing = columns[np.arange(len(columns)), nearest, 4] < -_CLOSING
     kind = (present > 0) * (1 + beside + 2 * far + 4 * (along < 0) + 8 * closing)
     _, number, counts = np.unique(
@@ -294,6 +295,14 @@ def balanced(store: SampleStore, indices: NDArray[np.int64]) -> Array:
     )
     chances = 1.0 / np.sqrt(counts[number])
     return np.asarray(chances / chances.sum())
+
+
+_Columns = TypeVar("_Columns", NDArray[np.float32], Tensor)
+
+
+def _nearness(columns: _Columns) -> _Columns:
+    """The more, the nearer what columns (..., 6) show is; 0 where nothing is there."""
+    return columns[..., 0] * (10.0 - columns[..., 1])
 
 
 def sum_of(terms: Mapping[str, Tensor]) -> Tensor:
@@ -318,9 +327,8 @@ def column_loss(found: Tensor, columns: Tensor, known: Tensor) -> Tensor:
     """
     each = columns.shape[1] // found.shape[1]
     wanted = columns.unflatten(1, (-1, each))
-    nearest = wanted[..., 0] * (10.0 - wanted[..., 1])
     wanted = wanted.gather(
-        2, nearest.argmax(dim=2)[..., None, None].expand(-1, -1, 1, len(COLUMN_VALUES))
+        2, _nearness(wanted).argmax(dim=2)[..., None, None].expand(-1, -1, 1, len(COLUMN_VALUES))
     )
     wanted = wanted.squeeze(2) / columns.new_tensor(COLUMN_SCALES)
     there = wanted[..., 0]

@@ -180,8 +180,9 @@ def export_planner(
     _take_averages(state, setting.task, trainer.seed)
     if other is not None:
         own = model.state_dict()
-        mean = {name: own[name].lerp(other[name], share) for name in own if name in other}
-        model.load_state_dict({**own, **mean})
+        for name, weights in other.items():
+            if weights.is_floating_point():
+                own[name].lerp_(weights, share)
     planner = GtrsPlanner(
         model,
         setting.store.record.primitives,
@@ -241,7 +242,7 @@ def _weights_for(model: GtrsModel, folder: Path) -> dict[str, Tensor]:
             "has other network sizes than the model to train",
             "name another planner, or give its sizes as `network` with `config`",
         )
-    return {k: v for k, v in found.state_dict().items() if v.is_floating_point()}
+    return found.state_dict()
 
 
 def _check_same(folder: Path, record: PlannerTrainingRecord) -> None:
