@@ -13,7 +13,7 @@ from recast.geometry import se2, se3
 from recast.scene import SceneActor, SkyMap, StreetScene
 from recast.scene.street_scene import SceneRasterizer
 from recast.splats import CLASSIC, MIP, Gaussians, LowPass
-from recast.splats.sh import C0
+from recast.splats.gaussians import C0
 from support.box_world import CAMERA, FACES, MOUNTS, SIZE, box_log, box_shares, scene
 
 CAMERA_FROM_WORLD = se3.inverse(MOUNTS["front"].rig_from_camera)

@@ -10,7 +10,7 @@ import pytest
 
 from recast.core.errors import InputError
 from recast.geometry import boxes, se3
-from recast.recar.real_crops import RealView, holds_real_crops, read_real_crops
+from recast.recar.views import RealView, holds_real_crops, read_real_crops
 from support.crops import DISTANCE, INPUTS, PIXELS, RESERVED, SIZE, direction, write_crops
 
 

@@ -11,7 +11,7 @@ from recast.reconstruction.points import (
     neighbour_distance,
     voxel_downsample,
 )
-from recast.splats.sh import C0
+from recast.splats.gaussians import C0
 
 
 def cloud_of(points: np.ndarray, distances: np.ndarray | None = None) -> PointCloud:

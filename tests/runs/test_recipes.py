@@ -30,6 +30,10 @@ CODE = {
         *("simulation", "planning", "dynamics", "scene", "splats", "synthetic"),
         "runs/rollouts.py",
     ),
+    "plans": (
+        *("simulation", "planning", "dynamics", "scene", "splats"),
+        "metrics/plan_agreement.py",
+    ),
     "scene-level": (
         *("metrics/scene_level_images.py", "metrics/scene_level_table.py"),
         *("studies/scene_level_study.py", "studies/scene_level_tasks.py", "pretrained"),

@@ -25,8 +25,7 @@ from recast.splats.formats import (
     write_gaussians,
     write_gltf,
 )
-from recast.splats.gaussians import quat_to_matrix
-from recast.splats.sh import evaluate
+from recast.splats.gaussians import evaluate_harmonics, quat_to_matrix
 from recast_bridges.splats.usd import read_usd, write_usd
 from support.splat_scenes import random_gaussians
 
@@ -66,8 +65,8 @@ def test_files_have_the_axes_of_their_format(tmp_path: Path, name: str) -> None:
     ways = torch.tensor([AHEAD[name], LEFT[name], UP[name]], dtype=torch.float32)
     stored = one.read(path)
     assert torch.allclose(stored.means, ways, atol=1e-6)
-    own = evaluate(gaussians.sh[:, None], torch.eye(3)[None])
-    seen = evaluate(stored.sh[:, None], ways[None])
+    own = evaluate_harmonics(gaussians.sh[:, None], torch.eye(3)[None])
+    seen = evaluate_harmonics(stored.sh[:, None], ways[None])
     assert (seen - own).abs().max() < (0.06 if name == "spz" else 1e-5)
     back = read_gaussians(path)
     assert torch.allclose(back.means, gaussians.means, atol=1e-6)

@@ -11,8 +11,8 @@ import torch
 
 from recast.core.errors import InputError
 from recast.splats import MIP, Gaussians, read_ply, write_ply
+from recast.splats.gaussians import C0
 from recast.splats.ply import read_low_pass
-from recast.splats.sh import C0
 from support.splat_scenes import random_gaussians
 
 

@@ -8,7 +8,7 @@ import pytest
 import torch
 
 from recast.splats import Gaussians, rasterize
-from recast.splats.sh import C0
+from recast.splats.gaussians import C0
 from support.splat_scenes import HEIGHT, WIDTH, camera, random_gaussians
 
 # The middle of the view is the centre of pixel (44, 31).

@@ -3,96 +3,24 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+import torch
 
-from recast.arrays import Array
-from recast.cameras import PinholeCamera, View
-from recast.cameras.mounts import camera_pose
 from recast.cli.main import main
 from recast.core.errors import InputError
 from recast.dynamics import PACIFICA
-from recast.geometry import se3
-from recast.logs import CameraStream, DrivingLog, Track, Trajectory, write_log
-from recast.planning import BasePlanner, ConstantVelocity, LogReplay, Plan, PlannerInput
-from recast.studies.planner_driving import (
-    RecordedDrive,
-    evaluate_planner,
-    what_is_ahead,
-)
-
-START = 1_700_000_000_000_000
-TIMES = START + 100_000 * np.arange(91, dtype=np.int64)
-WIDE = PinholeCamera(160, 80, 60.0, 60.0, 80.0, 40.0)
-
-
-def poses(x: Array, y: float = 0.0, heading: float = 0.0) -> Array:
-    turn = se3.from_rotation_translation(se3.rotation_z(heading), np.zeros(3))
-    found = np.tile(turn, (len(x), 1, 1))
-    found[:, 0, 3], found[:, 1, 3] = x, y
-    return found
-
-
-class Azimuths:
-    """Images whose red says how far left a pixel looks, and whose blue counts the frames."""
-
-    def __len__(self) -> int:
-        return len(TIMES)
-
-    def __getitem__(self, index: int, /) -> Array:
-        rays = WIDE.rays(WIDE.pixel_grid())
-        left = np.degrees(np.arctan2(-rays[..., 0], rays[..., 2]))
-        image = np.zeros((80, 160, 3), np.uint8)
-        image[..., 0] = np.clip(128 + 2 * left, 0, 255)
-        image[..., 2] = index
-        return image
-
-
-def log(
-    speed: Array | float = 10.0, tracks: Sequence[Track] = (), images: bool = True
-) -> DrivingLog:
-    x = np.cumsum(np.broadcast_to(speed, len(TIMES)) * 0.1)
-    mount = camera_pose((1.5, 0.0, 1.5), 0.0, 0.0)
-    stream = CameraStream("cam", WIDE, mount, TIMES, Azimuths())
-    return DrivingLog(
-        name="straight",
-        cameras={"cam": stream} if images else {},
-        lidars={},
-        world_from_rig=Trajectory(TIMES, poses(x)),
-        tracks={track.track_id: track for track in tracks},
-    )
-
-
-def car(x: float, y: float = 0.0, speed: float = 0.0, heading: float = 0.0) -> Track:
-    places = x + speed * 0.1 * np.arange(len(TIMES))
-    size = np.array([4.4, 1.8, 1.5])
-    return Track("7", "car", size, Trajectory(TIMES, poses(places, y, heading)))
-
-
-class Looker(BasePlanner):
-    """Stands still in every fourth moment; else drives by the red in the middle of its view."""
-
-    name = "looker"
-    needs_images = True
-    wanted_views = (View("left", PinholeCamera(60, 40, 60.0, 60.0, 30.0, 20.0), 30.0),)
-
-    def __init__(self) -> None:
-        self.seen: list[PlannerInput] = []
-
-    def choose_cameras(self, mounts: object) -> Sequence[str]:
-        return ["virtual_left"]
-
-    def plan(self, observation: PlannerInput) -> Plan:
-        self.seen.append(observation)
-        red = float(observation.images["virtual_left"][20, 28:32, 0].mean())
-        waypoints = np.zeros((40, 3))
-        speed = 0.0 if (len(self.seen) // 4) % 4 == 3 else 10.0 + (red - 188.0)
-        waypoints[:, 0] = speed * 0.1 * np.arange(1, 41)
-        return Plan(waypoints)
+from recast.logs import Track, Trajectory, write_log
+from recast.metrics.plan_agreement import read_agreement
+from recast.planning import ConstantVelocity, LogReplay
+from recast.scene import SkyMap, StreetScene, save_scene
+from recast.simulation.recorded_drive import RecordedDrive, what_is_ahead
+from recast.splats import Gaussians
+from recast.studies.planner_driving import evaluate_planner
+from support.recorded_drives import TIMES, Looker, car, log
 
 
 def test_who_drives_as_recorded_scores_nothing(tmp_path: Path) -> None:
@@ -123,7 +51,10 @@ def test_a_driver_who_stops_and_a_plan_that_goes_on(tmp_path: Path) -> None:
 def test_a_planner_sees_the_recorded_images_by_its_own_camera(tmp_path: Path) -> None:
     planner = Looker()
     found = evaluate_planner(planner, [log()], tmp_path / "out")
-    seen = planner.seen[0]
+    # one drive for each disturbance, then one as recorded
+    drives = np.array_split(np.arange(len(planner.seen)), 4)
+    assert [len(one) for one in drives] == [len(found.moments)] * 4
+    seen = planner.seen[drives[-1][0]]
     assert seen.images["virtual_left"].shape[2] == 3
     # the middle of a view 30 degrees to the left shows what the wide camera saw there
     assert seen.images["virtual_left"][20, 30, 0] == pytest.approx(188, abs=3)
@@ -131,8 +62,6 @@ def test_a_planner_sees_the_recorded_images_by_its_own_camera(tmp_path: Path) ->
     assert len(seen.ego_history) == 2 and seen.ego[3] == pytest.approx(10.0)
     later = planner.seen[-1]
     assert len(later.ego_history) == 21
-    # one call as recorded, and one for each disturbance
-    assert len(planner.seen) == 4 * len(found.moments)
     stopped = [one.stops for one in found.moments]
     assert stopped == [index % 4 == 3 for index in range(len(stopped))]
     assert found.scores[0].stops_alone == pytest.approx(np.mean(stopped))
@@ -184,3 +113,56 @@ def test_what_is_missing_is_said(tmp_path: Path, capsys: pytest.CaptureFixture[s
     assert main([*command, "--every", "1", "--out", str(tmp_path / "out")]) == 0
     assert "constant-velocity on recorded images" in capsys.readouterr().out
     assert main([*command, "--out", str(tmp_path / "out")]) == 2
+
+
+@pytest.fixture(scope="module")
+def street(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with `log`, and `scene`: a blob ahead on a grey sky."""
+    folder = tmp_path_factory.mktemp("street")
+    write_log(log(tracks=[car(30.0, speed=10.0)]), folder / "log")
+    blob = Gaussians(
+        means=torch.tensor([[60.0, 0.0, 1.0]]),
+        quats=torch.tensor([[1.0, 0.0, 0.0, 0.0]]),
+        log_scales=torch.zeros(1, 3),
+        logit_opacities=torch.full((1,), 4.0),
+        sh=torch.zeros(1, 1, 3),
+    )
+    scene = StreetScene(blob, {}, SkyMap.constant(torch.full((3,), 0.5)))
+    save_scene(scene, folder / "scene")
+    return folder
+
+
+def test_plans_on_a_street_that_shows_little(
+    street: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "out"
+    command = ["eval", "plans", str(street / "log"), "--scene", str(street / "scene")]
+    given = [*command, "--planner", "gtrs-mini", "--every", "2"]
+    assert main([*given, "--out", str(out)]) == 0
+    said = capsys.readouterr().out
+    assert "gtrs-mini on rendered images of straight" in said and "reconstructed" in said
+    assert all(len(line) <= 80 for line in said.splitlines())
+    found = read_agreement(out)
+    assert (found.arms, len(found.moments)) == (("reconstructed",), 3)
+    assert {one.held_out for one in found.moments} == {None}  # nobody says what it was trained on
+    page = (out / "index.html").read_text()
+    assert "end more than 2 m from those on the recorded ones in" in page
+    assert page.count("<img") == 6 and "<svg" in page
+    assert main([*given, "--out", str(out)]) == 2  # it is there
+    capsys.readouterr()
+    assert main([*command, "--planner", "log-replay", "--out", str(tmp_path / "x")]) == 2
+    assert "looks at no images" in capsys.readouterr().err
+    assert main([*given, "--every", "0", "--out", str(tmp_path / "x")]) == 2
+    assert main([*given, "--detector", "nothing", "--out", str(tmp_path / "x")]) == 2
+    assert not (tmp_path / "x").exists()
+
+
+def test_plans_as_json(street: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    command = ["eval", "plans", str(street / "log"), "--scene", str(street / "scene"), "--json"]
+    command += ["--planner", "gtrs-mini", "--every", "4", "--out", str(tmp_path / "out")]
+    assert main(command) == 0
+    record = json.loads(capsys.readouterr().out)
+    rows = {row["images"]: row for row in record if row["table"] == "scores"}
+    assert {"reconstructed", "one pixel", "reconstructed: sky recorded"} <= rows.keys()
+    assert rows["one pixel"]["psnr_db"] is None and rows["reconstructed"]["psnr_db"] > 0
+    assert {"table": "left_out", "moments": 0} in record

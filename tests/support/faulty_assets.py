@@ -14,7 +14,7 @@ from recast.actors.generate import UNIT_CUBE_Z_UP
 from recast.actors.icp import outer_surface
 from recast.geometry import se3
 from recast.splats import Gaussians, concatenate
-from recast.splats.sh import C0
+from recast.splats.gaussians import C0
 
 WHITE = 0.95  # display value of floaters: no part of a red or dark car has it
 

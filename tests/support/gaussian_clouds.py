@@ -6,7 +6,7 @@ import numpy as np
 import torch
 
 from recast.splats import Gaussians
-from recast.splats.sh import C0
+from recast.splats.gaussians import C0
 
 K = torch.tensor([[40.0, 0.0, 24.0], [0.0, 40.0, 16.0], [0.0, 0.0, 1.0]])
 """Of an image of 48 x 32."""

@@ -17,7 +17,7 @@ import torch
 
 from recast.geometry import se3
 from recast.splats import Gaussians, concatenate
-from recast.splats.sh import C0, evaluate
+from recast.splats.gaussians import C0, evaluate_harmonics
 from support import trained_scenes as made
 
 NAME = "block-7f"
@@ -145,7 +145,7 @@ def shown(gaussians: Gaussians, constant: torch.Tensor, eye: torch.Tensor) -> Ga
     else:
         away = gaussians.means - eye
         sh = torch.cat([constant[:, None], gaussians.sh[:, 1:]], dim=1)
-        rgb = (evaluate(sh, away / away.norm(dim=1, keepdim=True)) + 0.5).clamp(0, 1)
+        rgb = (evaluate_harmonics(sh, away / away.norm(dim=1, keepdim=True)) + 0.5).clamp(0, 1)
     return Gaussians(
         gaussians.means,
         gaussians.quats,

@@ -31,7 +31,7 @@ from recast.splats import (
     pick_device,
     rasterize_frozen,
 )
-from recast.splats.sh import C0
+from recast.splats.gaussians import C0
 
 UNEVEN = 1.6
 """Brightness of one side over the other from which on a report says so; cars are painted alike on

@@ -36,8 +36,7 @@ from recast.scene.light import (
 )
 from recast.scene.street_scene import pose_at
 from recast.splats import Gaussians, LowPass, concatenate
-from recast.splats.gaussians import quat_to_matrix
-from recast.splats.sh import C0
+from recast.splats.gaussians import C0, quat_to_matrix
 
 _SHADE = 0.55  # brightness of what lies flat against what stands upright
 _RENDER_WIDTH = 160  # pixels: enough to tell lamps from grilles

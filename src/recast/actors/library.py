@@ -38,7 +38,7 @@ from recast.arrays import Array
 from recast.core.errors import InputError
 from recast.pretrained import ClipImages, whole_picture
 from recast.splats.formats import read_gaussians
-from recast.splats.sh import C0
+from recast.splats.gaussians import C0
 
 _LENGTH, _SPACING = 4.5, 0.1  # metres: enough of a mesh for a mean colour
 _OPAQUE = 0.3

@@ -38,8 +38,7 @@ from recast.core.errors import InputError
 from recast.geometry import se3
 from recast.geometry.colour import gamma_to_linear, linear_to_gamma, srgb_to_linear
 from recast.splats import MIP, Gaussians
-from recast.splats.gaussians import concatenate
-from recast.splats.sh import C0
+from recast.splats.gaussians import C0, concatenate
 
 MOST_POINTS = 1_500_000
 MOST_ROWS = 6_000_000  # of the lattice, over all triangles: slivers have many and few points

@@ -66,7 +66,7 @@ from recast.geometry.colour import cielab, gamma_to_linear
 from recast.logs import DrivingLog, Track, track_points
 from recast.scene.actor import draw, look_at
 from recast.splats import Gaussians, LowPass
-from recast.splats.sh import C0
+from recast.splats.gaussians import C0
 
 _LIDAR_POINTS = 6000
 _SURFACE_POINTS = 4000  # used in the yaw search

@@ -188,6 +188,72 @@ class EvalPlanner:
 
 
 @dataclass(frozen=True)
+class EvalPlans:
+    """Compare a planner's plans on the images of a reconstruction with those on the recorded ones,
+    at the log's own moments."""
+
+    log: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="LOG")]
+    """Log folder."""
+    scene: Annotated[Path, shared.option("Scene folder of the log.")]
+    planner: str
+    """Planner: as for `recast run --planner`."""
+    out: Path
+    """New folder for metrics.json and a page with the ten moments of the largest difference."""
+    actor: Annotated[
+        tuple[Path, ...],
+        shared.option("Folder of an actor that replaces its track. May be repeated.", "none"),
+    ] = ()
+    every: float = 0.5
+    """Seconds between the moments of the drive."""
+    detector: Annotated[
+        str | None,
+        shared.option(
+            "Detector whose boxes on both images are compared: an installed one, or "
+            "package.module:attribute.",
+            "none",
+        ),
+    ] = None
+    seed: Annotated[int, shared.SEED] = 0
+    planner_device: Annotated[str | None, shared.PLANNER_DEVICE] = None
+    json: Annotated[bool, JSON] = False
+
+    def __call__(self) -> None:
+        from recast.actors import load_actor
+        from recast.core.diagnostics import ProgressBar
+        from recast.core.errors import require_range
+        from recast.core.plugins import DETECTORS
+        from recast.logs import read_log
+        from recast.planning import make_planner
+        from recast.reconstruction.train import CONFIG_FILE, read_training_config
+        from recast.scene import load_scene
+        from recast.studies.planner_driving import agreement_table, evaluate_plans
+
+        require_range(0.1, every=self.every)
+        console = console_for(self.json)
+        trained = (self.scene / CONFIG_FILE).is_file()  # an imported scene was not
+        with ProgressBar("moments", console) as progress:
+            found = evaluate_plans(
+                make_planner(self.planner, self.planner_device or "auto"),
+                read_log(self.log),
+                load_scene(self.scene),
+                [load_actor(folder) for folder in self.actor],
+                self.out,
+                training=read_training_config(self.scene) if trained else None,
+                every=self.every,
+                seed=self.seed,
+                detector=None if self.detector is None else DETECTORS.resolve(self.detector),
+                progress=progress,
+            )
+        console.print(f"wrote {self.out}", markup=False)
+        if self.json:
+            from recast.cli.rows.results import agreement_rows
+
+            print_json(agreement_rows(found))
+            return
+        console.print(agreement_table(found))
+
+
+@dataclass(frozen=True)
 class EvalGeneration:
     """Compare models that make vehicles from one image, on clean and perturbed images."""
 
@@ -339,6 +405,7 @@ Eval = shared.group(
         "photographs": EvalPhotographs,
         "actor": EvalActor,
         "planner": EvalPlanner,
+        "plans": EvalPlans,
         "generation": EvalGeneration,
         "inputs": EvalInputs,
     },

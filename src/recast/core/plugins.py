@@ -396,6 +396,14 @@ SEGMENTERS = Registry(
 )
 """Each is a class or function that makes a `recast.actors.Segmenter`."""
 
+DETECTORS = Registry(
+    "detector",
+    "recast.detectors",
+    members=("detect",),
+    protocol="recast.metrics.plan_agreement.Detector",
+)
+"""Each is a class or function that makes a `recast.metrics.plan_agreement.Detector`."""
+
 IMPORTERS = Registry(
     "importer",
     "recast.importers",

@@ -3,7 +3,6 @@
 See docs/data.md.
 """
 
-from recast.recar.real_crops import RealVehicle, RealView, holds_real_crops, read_real_crops
 from recast.recar.screening import SetStatistics, set_statistics, statistics_table
 from recast.recar.synthesis import SynthesisSettings, synthesize_set
 from recast.recar.vehicle_set import (
@@ -20,7 +19,15 @@ from recast.recar.vehicle_set import (
     split_of,
     write_identity,
 )
-from recast.recar.views import camera_pose, fitting_distance, pinhole
+from recast.recar.views import (
+    RealVehicle,
+    RealView,
+    camera_pose,
+    fitting_distance,
+    holds_real_crops,
+    pinhole,
+    read_real_crops,
+)
 
 __all__ = [
     "HELD_OUT_SHARE",

@@ -17,11 +17,9 @@ from recast.arrays import Image, Mask
 from recast.core.errors import InputError
 from recast.core.images import decode_image, decode_mask, opened, rgb, rgba
 from recast.recar.ingest_table import DUPLICATE_BITS, IngestSettings, VehicleRow
-from recast.recar.views import LARGEST_SIDE, encode_picture
+from recast.recar.views import MOST_PIXELS, encode_picture
 
 SUFFIXES = (".bmp", ".jpeg", ".jpg", ".png", ".tif", ".tiff", ".webp")
-MOST_PIXELS = LARGEST_SIDE**2
-"""Most pixels of a photograph: each takes some 30 bytes while it is brought to size, 2 GB."""
 
 _MEND = "replace the photograph"
 _HOW: dict[str, Any] = {"most_pixels": MOST_PIXELS, "what": "photograph", "mend": _MEND}

@@ -19,13 +19,11 @@ from recast.recar.vehicle_set import (
     HELD_OUT_SHARE,
     MOST_VIEWS,
     IdentityName,
-    Metres,
     SetRecord,
     Split,
-    Text,
     regular_azimuths,
 )
-from recast.recar.views import LARGEST_SIDE
+from recast.recar.views import LARGEST_SIDE, Metres, Text
 
 BITS = 255
 DUPLICATE_BITS = 20

@@ -23,8 +23,8 @@ from recast.core.errors import InputError
 from recast.core.records import Record, read_record
 from recast.core.table_files import read_npz
 from recast.recar.screening import Decision, read_decisions
-from recast.recar.vehicle_set import IdentityName, Split, Text
-from recast.recar.views import write_arrays
+from recast.recar.vehicle_set import IdentityName, Split
+from recast.recar.views import Text, write_arrays
 from recast.trellis import MultiImageMode, SamplerSettings
 
 Heading = Literal["any", "+x"]

@@ -29,6 +29,8 @@ from recast.recar.views import (
     HEADER_BYTES,
     LARGEST_SIDE,
     MOST_BYTES,
+    Metres,
+    Text,
     camera_pose,
     check_header,
     decode_picture,
@@ -87,8 +89,6 @@ Azimuths = Annotated[
     AfterValidator(_check_regular),
 ]
 IdentityName = Annotated[str, AfterValidator(_check_identity_name)]
-Text = Annotated[str, Field(min_length=1)]
-Metres = Annotated[FiniteFloat, Field(gt=0)]
 
 
 class SetRecord(Record):

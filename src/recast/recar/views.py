@@ -1,27 +1,42 @@
-"""The views of a vehicle set: where their cameras stand, and how they lie on disk.
+"""The views of a vehicle set, and folders of real crops, as they lie on disk.
 
 The actor frame is that of all boxes: origin at the box centre, x forward, y left, z up. A camera at
 azimuth a and elevation e stands at `distance * (cos e cos a, cos e sin a, sin e)` and looks at the
 origin, level. So at azimuth 0 it looks at the front, and the vehicle's left side is to the right in
 the image; at azimuth 90 it looks at the left side, and the front points to the left in the image.
+
+Real crops are photographs of vehicles with masks, cut from driving logs:
+
+    SET/ID/input_views/camera.json, frame_00.jpeg, mask_00.png, ...
+    SET/ID/reserved_views/...
+
+The input views are for making the vehicle, the reserved ones for judging it. camera.json describes
+its pictures in lists of equal length: `frame_filenames`, `mask_filenames`, unit camera directions
+`normalized_cam_positions`, `cam_dists` in metres and `cam_fovs` in degrees across the width; and
+the vehicle's box, `object_lwh` in metres. Cameras are rectified pinholes, level, that look at the
+box centre. Directions are in a box frame with +x to the rear, +y to the right and +z up, which is
+ours turned half around.
 """
 
 from __future__ import annotations
 
 import struct
 from collections.abc import Iterable
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, ValidationError
 
 from recast.arrays import Array, Image
 from recast.cameras import PinholeCamera
 from recast.core.errors import InputError
-from recast.core.files import atomic_file, read_bytes
-from recast.core.images import opened, rgba
+from recast.core.files import atomic_file, member, read_bytes, read_json
+from recast.core.images import decode_image, decode_mask, opened, rgb, rgba
+from recast.core.records import validation_error
 from recast.geometry import boxes, se3
 from recast.logs.images import encode
 
@@ -32,14 +47,27 @@ MARGIN = 0.04
 
 LARGEST_SIDE = 8192
 """Longest side of a picture of a set, pixels: decoded, it takes 268 MB at most."""
+MOST_PIXELS = LARGEST_SIDE**2
+"""Most pixels of a photograph: each takes some 30 bytes while it is brought to size, 2 GB."""
 HEADER_BYTES = 26
 MOST_BYTES = 5 * LARGEST_SIDE**2
 """Most bytes of an encoded view: the largest one of noise, which does not pack, and some text."""
+
+INPUT_VIEWS, RESERVED_VIEWS = "input_views", "reserved_views"
+CAMERA_FILE = "camera.json"
 
 _SIGNATURE = b"\x89PNG\r\n\x1a\n"
 _PANEL = (245, 246, 248)  # behind the vehicles of contact sheets
 _RGBA = 6  # PNG colour type of truecolour with alpha
 _MEND = "replace the image, or remove its identity from the set"
+_UNIT_WITHIN = 1e-3
+_SIZE_WITHIN = 1e-3  # metres between the boxes of both folders
+_MEND_CROPS = "correct it; see docs/data.md#real-crops"
+
+Text = Annotated[str, Field(min_length=1)]
+Metres = Annotated[FiniteFloat, Field(gt=0)]
+Direction = tuple[FiniteFloat, FiniteFloat, FiniteFloat]
+Degrees = Annotated[FiniteFloat, Field(gt=0, lt=180)]
 
 
 def pinhole(width: int, height: int, fov_deg: float) -> PinholeCamera:
@@ -158,3 +186,150 @@ def write_arrays(path: Path, **arrays: NDArray[Any]) -> None:
     """
     with atomic_file(path) as partial, partial.open("wb") as stream:
         np.savez_compressed(stream, allow_pickle=False, **arrays)
+
+
+class _CameraRecord(BaseModel):
+    """Contents of camera.json; members that are not named here are left alone."""
+
+    model_config = ConfigDict(frozen=True, allow_inf_nan=False)
+
+    frame_filenames: tuple[Text, ...] = Field(min_length=1)
+    mask_filenames: tuple[Text, ...]
+    normalized_cam_positions: tuple[Direction, ...]
+    cam_dists: tuple[Metres, ...]
+    cam_fovs: tuple[Degrees, ...]
+    object_lwh: tuple[Metres, Metres, Metres]
+
+
+@dataclass(frozen=True)
+class RealView:
+    """One photograph of a vehicle; decoded when asked for.
+
+    Attributes:
+        camera: rectified pinhole camera of the picture.
+        actor_from_camera: (4, 4), actor frame: box centre, x forward, y left, z up.
+    """
+
+    image: Path
+    mask: Path
+    camera: PinholeCamera
+    actor_from_camera: Array
+
+    def rgba(self) -> Image:
+        """(H, W, 4) uint8: the whole photograph, alpha 255 on the vehicle and 0 elsewhere.
+
+        Raises:
+            InputError: a file that cannot be decoded, or a mask that is empty.
+        """
+        colour, alpha = _decode(self.image, self.mask)
+        if not np.any(alpha > 127):
+            raise InputError(self.mask, "mask", "is empty", "mark the vehicle with 255")
+        return np.dstack([colour, np.where(alpha > 127, np.uint8(255), np.uint8(0))])
+
+
+@dataclass(frozen=True)
+class RealVehicle:
+    """A vehicle and its photographs.
+
+    Attributes:
+        size: (3,) length, width, height of its box, metres.
+        inputs, reserved: its views; at least one of each.
+    """
+
+    id: str
+    size: Array
+    inputs: tuple[RealView, ...]
+    reserved: tuple[RealView, ...]
+
+
+def holds_real_crops(folder: str | Path) -> bool:
+    """Whether `folder`, or a folder in it, has input views by this convention."""
+    folder = Path(folder)
+    return bool(_vehicle_folders(folder)) if folder.is_dir() else False
+
+
+def read_real_crops(folder: str | Path) -> tuple[RealVehicle, ...]:
+    """Read the vehicles of a folder, sorted by name; or the one vehicle whose folder it is.
+
+    Pictures are opened to learn their size and not kept.
+
+    Raises:
+        InputError: no vehicle there; a file missing or undecodable; lists of different lengths; a
+            direction that is not of unit length; a distance, angle of view or size that is not
+            positive; picture and mask, or the boxes of both folders, of different sizes.
+    """
+    folder = Path(folder)
+    if not folder.is_dir():
+        raise InputError(folder, "vehicle crops", "is not a folder", "check the path")
+    found = _vehicle_folders(folder)
+    if not found:
+        raise InputError(
+            folder, "vehicle crops", f"holds no ID/{INPUT_VIEWS}/{CAMERA_FILE}", _MEND_CROPS
+        )
+    return tuple(_read_vehicle(path) for path in found)
+
+
+def _vehicle_folders(folder: Path) -> list[Path]:
+    if (folder / INPUT_VIEWS).is_dir():
+        return [folder]
+    return sorted(path for path in folder.iterdir() if (path / INPUT_VIEWS).is_dir())
+
+
+def _read_vehicle(folder: Path) -> RealVehicle:
+    size, inputs = _read_views(folder / INPUT_VIEWS)
+    reserved_size, reserved = _read_views(folder / RESERVED_VIEWS)
+    if not np.allclose(size, reserved_size, rtol=0.0, atol=_SIZE_WITHIN):
+        problem = f"is {_metres(reserved_size)}, but {_metres(size)} in the input views"
+        mend = "give both the same size"
+        raise InputError(folder / RESERVED_VIEWS / CAMERA_FILE, "object_lwh", problem, mend)
+    return RealVehicle(folder.resolve().name, size, inputs, reserved)
+
+
+def _metres(size: Array) -> str:
+    return " x ".join(f"{v:.3f}" for v in size)
+
+
+def _read_views(folder: Path) -> tuple[Array, tuple[RealView, ...]]:
+    path = folder / CAMERA_FILE
+    value = read_json(path)
+    try:
+        record = _CameraRecord.model_validate(value)
+    except ValidationError as error:
+        raise validation_error(path, error, _MEND_CROPS) from None
+    frames = len(record.frame_filenames)
+    for field in ("mask_filenames", "normalized_cam_positions", "cam_dists", "cam_fovs"):
+        count = len(getattr(record, field))
+        if count != frames:
+            problem = f"has {count} entries for {frames} in frame_filenames"
+            raise InputError(path, field, problem, "give one for every frame")
+    views = tuple(_read_view(path, record, index) for index in range(frames))
+    return np.array(record.object_lwh), views
+
+
+def _read_view(path: Path, record: _CameraRecord, index: int) -> RealView:
+    x, y, z = record.normalized_cam_positions[index]
+    length = float(np.linalg.norm((x, y, z)))
+    if abs(length - 1) > _UNIT_WITHIN:
+        problem = f"has length {length:.4g}"
+        mend = "normalise it, and put its length into cam_dists"
+        raise InputError(path, f"normalized_cam_positions.{index}", problem, mend)
+    names = record.frame_filenames[index], record.mask_filenames[index]
+    image = member(path.parent, names[0], path, f"frame_filenames.{index}")
+    mask = member(path.parent, names[1], path, f"mask_filenames.{index}")
+    height, width = _decode(image, mask)[1].shape
+    azimuth = float(np.degrees(np.arctan2(-y, -x)))
+    elevation = float(np.degrees(np.arcsin(z / length)))
+    return RealView(
+        image=image,
+        mask=mask,
+        camera=pinhole(width, height, record.cam_fovs[index]),
+        actor_from_camera=camera_pose(azimuth, elevation, record.cam_dists[index]),
+    )
+
+
+def _decode(image: Path, mask: Path) -> tuple[Image, Image]:
+    """Colours (H, W, 3) and the mask (H, W) of a picture, upright."""
+    mend = "save it again as JPEG or PNG"
+    colours = rgb(decode_image(image, image, most_pixels=MOST_PIXELS, mend=mend))
+    size = colours.shape[1], colours.shape[0]
+    return colours, decode_mask(mask, mask, size, image.name, most_pixels=MOST_PIXELS, mend=mend)

@@ -48,7 +48,7 @@ from recast.scene.actor import with_other_side
 from recast.scene.sky import SkyMap, sky_from_pixels
 from recast.scene.street_scene import DEFORMABLE, pose_at
 from recast.splats import Gaussians
-from recast.splats.sh import C0
+from recast.splats.gaussians import C0
 
 _WAYMO = tuple(CAMERA_NAME.names.values())
 """Waymo's cameras by their number in names of files."""

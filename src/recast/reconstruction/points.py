@@ -27,7 +27,7 @@ from recast.reconstruction.settings import INIT
 from recast.reconstruction.views import DepthSamples, TrainingView
 from recast.scene.street_scene import pose_at
 from recast.splats import Gaussians, morton_order
-from recast.splats.sh import C0
+from recast.splats.gaussians import C0
 
 
 @dataclass(frozen=True)

@@ -14,7 +14,7 @@ import numpy as np
 import torch
 
 from recast.reconstruction.config import SceneConfig
-from recast.splats.sh import C0
+from recast.splats.gaussians import C0
 
 
 @dataclass(frozen=True)

@@ -248,6 +248,8 @@ class ReportInputs:
         truth_arm: the one of `arms` that shows what is really there, or None.
         showcase: the first screen; without one the page begins with the overview.
         truth: views beyond the log against the truth; left out of the page where nothing is given.
+        recording: folders of plan agreements, see `recast.metrics.plan_agreement.write_agreement`;
+            one for each planner that looks at images.
         actor, scenarios, scene, hd_map, config, provenance: see their types.
         timings: step to seconds.
         warnings: what the reader has to know before trusting the page.
@@ -271,6 +273,7 @@ class ReportInputs:
     truth_arm: str | None = None
     showcase: ShowcasePart | NotMade = NOT_MADE
     truth: TruthPart | NotMade = NOT_MADE
+    recording: tuple[Path, ...] = ()
     replay: Path | NotMade | None = None
     camera_headings: Mapping[str, float] = field(default_factory=dict)
 

@@ -18,8 +18,10 @@ from recast.core.files import atomic_file, disk_errors
 from recast.dynamics.tracker import PLAN_LIMITS
 from recast.geometry import boxes, se2
 from recast.metrics.driving import CAP, TOUCHING
+from recast.metrics.plan_agreement import MOVED, PlanAgreement
 from recast.metrics.trust import Reliability
 from recast.reporting import drawing
+from recast.simulation.recorded_drive import DISTURBANCES
 from recast.simulation.rollout import Rollout
 from recast.simulation.scene_renderer import RolloutCoverage
 
@@ -311,6 +313,29 @@ def coverage_plot(arm: str, coverage: RolloutCoverage, dt: float, end: float) ->
         below = above
     told = ", ".join(f"{key} {getattr(coverage.mean, key):.0%}" for key in drawing.SHARES)
     return figure.plot(f"Visible part of the {arm}", f"over all images: {told}")
+
+
+def agreement_plot(found: PlanAgreement, start_us: int) -> Plot:
+    """How far plans on rendered images end from those on the recorded ones, over log time.
+
+    Args:
+        start_us: log time of the axis' zero.
+    """
+    times = [(one.timestamp_us - start_us) * 1e-6 for one in found.moments]
+    fde = {
+        name: [one.differences[name].fde for one in found.moments]
+        for name in (*found.arms, DISTURBANCES[0])
+    }
+    high = max(3.0, *(max(values) for values in fde.values()))
+    figure = Figure(max(times), 0.0, high * 1.05, "difference at 4 s [m]", "log time [s]")
+    figure.level(MOVED, f"{MOVED:g} m: another plan")
+    figure.line(times, fde[DISTURBANCES[0]], INK, 1.0, "3 3")
+    for number, arm in enumerate(found.arms):
+        colour = drawing.css(drawing.arm_colour(number))
+        figure.line(times, fde[arm], colour)
+        figure.dots(times, fde[arm], colour)
+    told = ", ".join(f"{name}: at most {max(values):.1f} m" for name, values in fde.items())
+    return figure.plot("Difference of the plans over time", told)
 
 
 _Drawn = tuple[Figure, str, str]

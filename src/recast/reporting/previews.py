@@ -25,7 +25,7 @@ from recast.reporting.plots import first_true
 from recast.simulation import PreparedRollout, RolloutSetup, ego_centre
 from recast.simulation.rollout_start import ON_ROAD, on_road_shares, surveyed_road
 from recast.simulation.scenario import scenario_name
-from recast.splats.sh import C0
+from recast.splats.gaussians import C0
 
 _Line = list[tuple[int, str, drawing.Colour]]
 """Pieces of a line of text, each at its place in pixels."""

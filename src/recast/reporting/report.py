@@ -15,6 +15,12 @@ import numpy as np
 from recast.core.workers import usable_cores
 from recast.logs.hdmap import HdMap
 from recast.metrics import Agreement, AngleBin, OracleView, OracleViews, read_oracle_views
+from recast.metrics.plan_agreement import (
+    RECORDED,
+    PlanAgreement,
+    picture_path,
+    read_agreement,
+)
 from recast.reporting import drawing, plots, summary, tables
 from recast.reporting.birdseye import Birdseye, BirdseyeStyle, MapLayer
 from recast.reporting.inputs import (
@@ -220,6 +226,10 @@ def _render(run: ReportInputs, assets: PageAssets) -> str:
         else coverage_lines(run.scenarios, run.arms),
         scenarios=scenarios,
         scene=_scene(run.scene, assets),
+        recording=[
+            agreement_view(read_agreement(folder), folder, assets.scoped(f"recording-{number}"))
+            for number, folder in enumerate(run.recording)
+        ],
         showcase=_showcase(run.showcase, assets),
         truth=truth_view(run.truth, assets) if isinstance(run.truth, TruthPart) else run.truth,
         nothing_on_truth=run.truth == NOT_MADE,
@@ -268,6 +278,42 @@ def _scene(scene: ScenePart | NotMade, assets: PageAssets) -> dict[str, Any] | N
         for i, comparison in enumerate(scene.comparisons)
     ]
     return {"part": scene, "comparisons": comparisons}
+
+
+def agreement_view(found: PlanAgreement, folder: Path, assets: PageAssets) -> dict[str, Any]:
+    """What agreement.html shows.
+
+    Args:
+        folder: what `write_agreement` wrote: the pictures.
+    """
+    start_us = found.moments[0].timestamp_us
+    labels = (RECORDED, *found.arms)
+    names, rows = tables.agreement_cells(found)
+    shown = [
+        (
+            f"{(one.timestamp_us - start_us) * 1e-6:.1f} s, {one.speed:.1f} m/s, {one.ahead}: "
+            + ", ".join(f"{arm} {one.differences[arm].fde:.1f} m" for arm in found.arms),
+            [
+                (
+                    label,
+                    assets.photo(
+                        f"{label}-{one.timestamp_us}",
+                        picture_path(folder, one.timestamp_us, number),
+                    ),
+                )
+                for number, label in enumerate(labels)
+            ],
+        )
+        for one in found.worst()
+    ]
+    return {
+        "found": found,
+        "lead": tables.agreement_lead(found),
+        "names": names,
+        "rows": rows,
+        "plot": plots.agreement_plot(found, start_us),
+        "pictures": shown,
+    }
 
 
 def _config(config: Mapping[str, Any] | NotMade) -> str | NotMade:

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 from recast.metrics import COLUMNS, Metric, RolloutMetrics, TableRow, matched_pairs, table
+from recast.metrics.plan_agreement import PlanAgreement
 from recast.reporting.inputs import Fact, ImageScore, NotMade, ScenarioPart
 from recast.simulation.rollout import RolloutFailure
 
@@ -261,4 +262,33 @@ def depth_facts(evaluation: Mapping[str, Any]) -> tuple[Fact, ...]:
             f"{100 * depth['missing']:.1f} %",
             f"of {depth['points']:,} points, measured {depth['lag_ms']:.0f} ms from the image",
         ),
+    )
+
+
+def agreement_cells(found: PlanAgreement) -> tuple[list[str], list[list[str]]]:
+    """Headings and rows of a plan agreement."""
+    names = ["images", "n", "PSNR dB", "ADE m", "FDE m", "moved %", "other %"]
+    detects = bool(found.moments[0].boxes)
+    names += ["boxes %"] if detects else []
+    rows = []
+    for one in found.table:
+        name = one.images if one.kind == "all" else f"{one.images}, {one.kind}"
+        row = [name, str(one.moments), "-" if one.psnr is None else f"{one.psnr:.1f}"]
+        row += [f"{one.ade:.2f}", f"{one.fde:.2f}"]
+        row += [f"{100 * one.moved:.0f}", f"{100 * one.other_decision:.0f}"]
+        row += ["-" if one.boxes is None else f"{100 * one.boxes:.0f}"] if detects else []
+        rows.append(row)
+    return names, rows
+
+
+def agreement_lead(found: PlanAgreement) -> str:
+    """What was found, in a sentence."""
+    said = [
+        f"{one.moved:.0%} {arm}" for arm in found.arms if (one := found.scores(arm)) is not None
+    ]
+    left = f" {found.left_out} moments without all images were left out." if found.left_out else ""
+    return (
+        f"At {len(found.moments)} moments the plans of {found.planner} on rendered images end more "
+        f"than 2 m from those on the recorded ones in: {', '.join(said)}. A shift of the recorded "
+        f"images by one pixel moves {found.floor:.0%}.{left}"
     )

@@ -143,6 +143,12 @@ class Arm(Record):
         return self.street != TRUTH
 
     @property
+    def of_the_log(self) -> bool:
+        """Whether it shows street and target as they were reconstructed or generated, undisturbed:
+        then its images of the log's own moments should show what was recorded."""
+        return self.reconstructs and self.vehicle in ("own", "generated") and self.noise is None
+
+    @property
     def needs_world(self) -> bool:
         """Whether street or vehicle are the truth, which only a synthetic log has."""
         return self.vehicle == "truth" or not self.reconstructs

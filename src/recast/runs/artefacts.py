@@ -14,9 +14,11 @@ from recast.cameras import CameraMount
 from recast.core import Artefact, Store
 from recast.core.artefact import value_hash
 from recast.core.diagnostics import ProgressBar
-from recast.planning import Planner, looked_at, make_planner
+from recast.core.foreign import whole
+from recast.metrics.plan_agreement import plan_agreement, write_agreement
+from recast.planning import BasePlanner, Planner, looked_at, make_planner
 from recast.reconstruction import SceneConfig
-from recast.reconstruction.views import modelled_tracks
+from recast.reconstruction.views import is_held_out, modelled_tracks
 from recast.runs.actor import ActorMakers
 from recast.runs.arms import OWN_STREET, PRESETS, Arm, truth_of
 from recast.runs.config import RunConfig
@@ -43,6 +45,7 @@ from recast.simulation import (
     replaced_tracks,
     scenario_record,
 )
+from recast.simulation.recorded_drive import RecordedDrive
 
 
 class Artefacts:
@@ -295,6 +298,52 @@ class Artefacts:
             rollout_name(motion, planner, arm.name),
             lambda: self.maker.make(
                 title, "rollouts", inputs, make, f"{title}, {self.source.log.name}"
+            ),
+        )
+
+    def agreement(self, planner: str) -> Artefact | None:
+        """How a planner's plans on rendered images of the log's own moments agree with those on the
+        recorded ones; None where it looks at no images or no arm shows a reconstruction."""
+        looking, config = whole(self.planner(planner), BasePlanner), self.config
+        arms = [arm for arm in self.arms.values() if arm.of_the_log]
+        if not looking.needs_images or not arms:
+            return None
+        tracks, street = (config.track,), self.street_config(arms[0])
+        inputs = {
+            "log": self.source.hash,
+            "track": config.track,
+            "planner": self.sources.planners[planner],
+            "planner_device": config.planner_device,
+            "cameras": list(config.scene.cameras),
+            "scale": config.scene.scale,
+            "arms": {arm.name: self.images_of(arm) for arm in arms},
+            "held_out": [street.holdout_every, street.holdout_offset],
+            "actors": {a.name: self.actor(a, config.track).reference for a in arms if a.generates},
+            "recipe": RECIPES["plans"],
+        }
+        title = f"plans of {planner} against the recording"
+
+        def make(out: Path) -> None:
+            cameras, scale = config.scene.cameras, config.scene.scale
+            drive = RecordedDrive(self.source.log, looking, cameras=cameras, scale=scale)
+            renderers = {
+                arm.name: self.renderers.of(arm, tracks, f"{planner}, recording", drive.mounts)
+                for arm in arms
+            }
+            with ProgressBar("moments", self.console) as progress:
+                found, pictures = plan_agreement(
+                    looking,
+                    drive,
+                    renderers,
+                    held_out=lambda _, frame: is_held_out(frame, street),
+                    progress=progress,
+                )
+            write_agreement(found, pictures, out)
+
+        return self._used(
+            use_name("plans", planner),
+            lambda: self.maker.make(
+                title, "evaluations", inputs, make, f"{title}, {self.source.log.name}"
             ),
         )
 

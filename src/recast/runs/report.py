@@ -198,6 +198,11 @@ class GatheredRun:
             ),
             timings=self._timings() or NOT_MADE,
             warnings=warnings(self.map),
+            recording=tuple(
+                found.path
+                for planner in config.planners
+                if (found := self._find(use_name("plans", planner))) is not None
+            ),
             replay=self._replay(),
             camera_headings=headings(self.log),
         )

@@ -12,7 +12,7 @@ from rich.console import Console
 
 from recast.actors import DEFAULT_GENERATOR, make_generator
 from recast.core import Artefact, files, open_store, value_hash
-from recast.core.errors import InputError, printable
+from recast.core.errors import InputError, UnreachableError, printable
 from recast.core.records import validation_error
 from recast.core.workers import use_threads
 from recast.metrics import RolloutMetrics, rollout_metrics
@@ -110,8 +110,21 @@ class _Run:
         motions, planners = self._config.motions, self._config.planners
         for motion, planner, arm in product(motions, planners, artefacts.arms.values()):
             artefacts.rollout(motion, planner, arm)
+        for planner in planners:
+            self._agreement(planner)
         self._folder.refer(artefacts.store, artefacts.used, whole=True)
         return self._report()
+
+    def _agreement(self, planner: str) -> None:
+        """Compare the planner's plans with those on the recorded images, where that can be done;
+        whoever fails here has rollouts that say so."""
+        try:
+            self._artefacts.agreement(planner)
+        except UnreachableError:
+            raise
+        except Exception as error:
+            told = f"{planner} is not compared with the recording: {error}"
+            self._console.print(printable(told), markup=False, style="yellow")
 
     def _report(self) -> Path:
         path, used, source = self._folder.path, self._artefacts.used, self._artefacts.source

@@ -74,6 +74,7 @@ _LINKS = {
     "evaluation": "evaluations",
     "truth": "truth",
     "rollout": "rollouts",
+    "plans": "plans",
 }
 """Folder of the links to artefacts, by the first word of their use."""
 

@@ -37,9 +37,10 @@ RECIPES = {
     "evaluation": 3,
     "truth": 5,
     "rollout": 8,
+    "plans": 1,
     "scene-level": 3,
     "metrics": 9,
-    "report": 9,
+    "report": 10,
 }
 """Version of what recast's own code makes of the inputs of a step.
 

@@ -33,8 +33,7 @@ from recast.splats import (
     freeze,
     rasterize,
 )
-from recast.splats.gaussians import LARGEST
-from recast.splats.sh import C0
+from recast.splats.gaussians import C0, LARGEST
 
 
 def fourier_basis(share: float, terms: int) -> Tensor:

@@ -33,9 +33,8 @@ from recast.core.gltf_file import (
 from recast.core.plugins import entry_points, splat_formats
 from recast.geometry import se3
 from recast.splats import ply
-from recast.splats.gaussians import Gaussians, concatenate, from_linear, to_linear
+from recast.splats.gaussians import C0, MAX_DEGREE, Gaussians, concatenate, from_linear, to_linear
 from recast.splats.rasterization import LowPass, parse_low_pass
-from recast.splats.sh import C0, MAX_DEGREE
 
 # Gaussians in glTF 2.0 with the extension KHR_gaussian_splatting, as one binary file (GLB).
 #

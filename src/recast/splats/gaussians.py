@@ -1,15 +1,25 @@
-"""3D Gaussians as a struct of arrays; their rotations as quaternions, and their order in memory."""
+"""3D Gaussians as a struct of arrays: their colours, rotations and order in memory.
+
+Colours are real spherical harmonics up to degree 3, rotations are quaternions; both turn with the
+Gaussians.
+
+Order and signs of the harmonics are those of 3D Gaussian splatting (Kerbl et al. 2023): band l
+holds the 2l + 1 functions m = -l..l, with the Condon-Shortley sign on odd m.
+"""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import torch
 from torch import Tensor
 
-from recast.splats import sh as harmonics
+MAX_DEGREE = 3
+C0 = 0.28209479177387814
+C1 = 0.4886025119029199
 
 LOG_SCALES = (-60.0, 14.0)
 """Log scales lie between these: beyond, areas in the image leave the range of float32."""
@@ -25,6 +35,14 @@ _RANGES = {
     "sh": (-LARGEST, LARGEST),
 }
 _BITS = 20
+_C2 = (1.0925484305920792, 0.31539156525252005, 0.5462742152960396)
+_C3 = (
+    0.5900435899266435,
+    2.890611442640554,
+    0.4570457994644658,
+    0.3731763325901154,
+    1.445305721320277,
+)
 
 
 @dataclass(frozen=True)
@@ -77,8 +95,8 @@ class Gaussians:
                 return name, f"shape {tuple(value.shape)}, expected {shape}"
             if not value.is_floating_point():
                 return name, f"dtype {value.dtype}, expected floating point"
-        if self.sh_degree > harmonics.MAX_DEGREE:
-            return "sh", f"degree {self.sh_degree}, expected {harmonics.MAX_DEGREE} at most"
+        if self.sh_degree > MAX_DEGREE:
+            return "sh", f"degree {self.sh_degree}, expected {MAX_DEGREE} at most"
         for name, (low, high) in _RANGES.items():
             bad = (~self._within(name)).nonzero()
             if len(bad):
@@ -157,7 +175,7 @@ class Gaussians:
             quats=self.quats @ turn.T,
             log_scales=self.log_scales if scale == 1 else self.log_scales + math.log(scale),
             logit_opacities=self.logit_opacities,
-            sh=harmonics.rotate(self.sh, rotation.to(self.sh.dtype)),
+            sh=rotate_harmonics(self.sh, rotation.to(self.sh.dtype)),
         )
 
 
@@ -175,6 +193,87 @@ def concatenate(parts: Sequence[Gaussians]) -> Gaussians:
         for part in parts
     ]
     return Gaussians(*(torch.cat([getattr(part, name) for part in padded]) for name in _RANGES))
+
+
+def harmonic_basis(directions: Tensor, degree: int) -> Tensor:
+    """The (degree + 1)^2 harmonics at unit `directions` (..., 3): (..., K). Raises ValueError:
+    degree is not 0..3."""
+    if not 0 <= degree <= MAX_DEGREE:
+        raise ValueError(f"sh: degree {degree}, expected 0..{MAX_DEGREE}")
+    x, y, z = directions.unbind(-1)
+    terms = [torch.full_like(x, C0)]
+    if degree >= 1:
+        terms += [-C1 * y, C1 * z, -C1 * x]
+    if degree >= 2:
+        xx, yy, zz = x * x, y * y, z * z
+        terms += [
+            _C2[0] * x * y,
+            -_C2[0] * y * z,
+            _C2[1] * (2 * zz - xx - yy),
+            -_C2[0] * x * z,
+            _C2[2] * (xx - yy),
+        ]
+    if degree >= 3:
+        terms += [
+            -_C3[0] * y * (3 * xx - yy),
+            _C3[1] * x * y * z,
+            -_C3[2] * y * (4 * zz - xx - yy),
+            _C3[3] * z * (2 * zz - 3 * xx - 3 * yy),
+            -_C3[2] * x * (4 * zz - xx - yy),
+            _C3[4] * z * (xx - yy),
+            -_C3[0] * x * (xx - 3 * yy),
+        ]
+    return torch.stack(terms, dim=-1)
+
+
+def evaluate_harmonics(coefficients: Tensor, directions: Tensor) -> Tensor:
+    """Colours (..., C) of `coefficients` (..., K, C) seen along unit `directions` (..., 3)."""
+    degree = round(coefficients.shape[-2] ** 0.5) - 1
+    return torch.einsum("...k,...kc->...c", harmonic_basis(directions, degree), coefficients)
+
+
+@lru_cache(maxsize=MAX_DEGREE + 1)
+def _harmonic_probe(degree: int) -> tuple[Tensor, Tensor]:
+    """Fixed directions (M, 3), and the pseudo-inverse (2l + 1, M) of band l = `degree` at them."""
+    count = 24
+    # A Fibonacci spiral: even enough that every band up to 3 is well conditioned on it.
+    index = torch.arange(count, dtype=torch.float64)
+    z = 1 - (2 * index + 1) / count
+    azimuth = index * (torch.pi * (3 - 5**0.5))
+    radius = (1 - z * z).sqrt()
+    directions = torch.stack([radius * azimuth.cos(), radius * azimuth.sin(), z], dim=-1)
+    band = harmonic_basis(directions, degree)[:, degree * degree :]
+    return directions, torch.linalg.pinv(band)
+
+
+def harmonic_rotations(rotation: Tensor, degree: int) -> list[Tensor]:
+    """Matrices D_l (2l + 1, 2l + 1), l = 0..degree, with B_l(R d) = D_l B_l(d) for all d.
+
+    A band is closed under rotation, so D_l follows from its values at enough fixed directions P:
+    B_l(P R^T) = B_l(P) D_l^T, solved by the constant pseudo-inverse of B_l(P). Exact to rounding
+    and differentiable in `rotation` (3, 3).
+    """
+    blocks = [rotation.new_ones(1, 1)]
+    for band in range(1, degree + 1):
+        directions, inverse = (part.to(rotation) for part in _harmonic_probe(band))
+        moved = harmonic_basis(directions @ rotation.T, band)[:, band * band :]
+        blocks.append((inverse @ moved).T)
+    return blocks
+
+
+def rotate_harmonics(coefficients: Tensor, rotation: Tensor) -> Tensor:
+    """Coefficients (N, K, C) of the same colour field turned by `rotation` (3, 3).
+
+    evaluate_harmonics(rotate_harmonics(sh, R), R d) equals evaluate_harmonics(sh, d).
+    """
+    degree = round(coefficients.shape[-2] ** 0.5) - 1
+    blocks = harmonic_rotations(rotation.to(coefficients.dtype), degree)
+    # D is orthogonal: the basis turns by D, so the coefficients turn by D^-T = D. One product of
+    # matrices for all bands and channels: many small ones cost several times that.
+    channels = torch.eye(coefficients.shape[-1]).to(blocks[0])
+    turn = torch.kron(torch.block_diag(*blocks), channels)
+    turned = coefficients.flatten(1) @ turn.T.to(coefficients.device)
+    return turned.view(coefficients.shape)
 
 
 def quat_to_matrix(quats: Tensor) -> Tensor:

@@ -22,9 +22,8 @@ from numpy.typing import NDArray
 
 from recast.core.errors import InputError
 from recast.core.files import disk_errors, write_bytes
-from recast.splats.gaussians import Gaussians, from_linear, to_linear
+from recast.splats.gaussians import C0, Gaussians, from_linear, to_linear
 from recast.splats.rasterization import MIP, LowPass, parse_low_pass
-from recast.splats.sh import C0
 
 _TYPES = {
     **dict.fromkeys(("char", "int8"), "i1"),

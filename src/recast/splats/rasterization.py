@@ -24,8 +24,7 @@ import torch
 from torch import Tensor
 
 from recast.core.errors import InputError
-from recast.splats import sh as harmonics
-from recast.splats.gaussians import LOG_SCALES, Gaussians, quat_to_matrix
+from recast.splats.gaussians import LOG_SCALES, Gaussians, evaluate_harmonics, quat_to_matrix
 
 _LEAST_SHARE = 1e-4
 """Smallest share of itself to which a variance is lowered."""
@@ -387,7 +386,7 @@ def project(
     # -R^T t is the camera centre of a rigid pose; its derivative is taken in this form.
     rotation, translation = camera_from_world[:3, :3], camera_from_world[:3, 3]
     directions = torch.nn.functional.normalize(g.means + translation @ rotation, dim=-1)
-    colours = (harmonics.evaluate(g.sh, directions) + 0.5).clamp(min=0)
+    colours = (evaluate_harmonics(g.sh, directions) + 0.5).clamp(min=0)
     return ProjectedSplats(
         ids=ids,
         means2d=image.means2d,

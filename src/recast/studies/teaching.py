@@ -35,7 +35,7 @@ from recast.planning import BasePlanner, Plan, Planner, PlannerInput, make_plann
 from recast.planning.types import ACTOR_COLUMNS, WAYPOINTS, ego_status
 from recast.simulation import Simulator
 from recast.simulation.planner_calls import PlannerCalls
-from recast.studies.planner_driving import what_is_ahead
+from recast.simulation.recorded_drive import what_is_ahead
 
 SAMPLES_FILE, RECORD_FILE = "samples.parquet", "rollout.json"
 _FLOATS = pa.list_(pa.float32())
@@ -224,7 +224,7 @@ class DrivingSamples:
     Attributes:
         status: (N, 8) float32, see `ego_status`.
         planner, expert: (N, 40, 3) waypoints of both, as in `Plan`.
-        ahead: (N,) what is ahead, see `recast.studies.planner_driving.what_is_ahead`.
+        ahead: (N,) what is ahead, see `recast.simulation.recorded_drive.what_is_ahead`.
         boxes: (n, 8) road users of each, see `recast.planning.types.ACTOR_COLUMNS`.
         files: image files of each by camera.
     """

@@ -21,7 +21,7 @@ from torch.nn import functional
 
 from recast.core.records import Record
 from recast.splats import Gaussians
-from recast.splats.sh import C0
+from recast.splats.gaussians import C0
 from recast.trellis.layers import (
     ChannelLayerNorm32,
     Depth,

@@ -26,8 +26,7 @@ from recast.reporting.drawing import SHARES
 from recast.scene import StreetScene
 from recast.scene.sky import SkyMap
 from recast.splats import Gaussians
-from recast.splats.gaussians import quat_to_matrix
-from recast.splats.sh import evaluate
+from recast.splats.gaussians import evaluate_harmonics, quat_to_matrix
 from recast.viewer.drives import ViewedDrive, ViewInputs
 
 if TYPE_CHECKING:
@@ -78,7 +77,7 @@ def baked(gaussians: Gaussians, eyes: Tensor) -> BakedSplats:
     """
     with torch.no_grad():
         directions = mean_directions(gaussians.means, eyes)
-        colours = (evaluate(gaussians.sh, directions) + 0.5).clamp(0, 1)
+        colours = (evaluate_harmonics(gaussians.sh, directions) + 0.5).clamp(0, 1)
         sigmas = gaussians.log_scales.exp().clamp(max=LARGEST_SIGMA)
         axes = quat_to_matrix(gaussians.quats) * sigmas[:, None, :]
         return BakedSplats(

@@ -18,7 +18,7 @@ from recast.core.errors import InputError
 from recast.geometry.colour import linear_to_gamma
 from recast.logs import DrivingLog
 from recast.splats import MIP, Gaussians, rasterize
-from recast.splats.sh import C0
+from recast.splats.gaussians import C0
 from support.mesh_files import CAR, HALVES, SQUARE, Glb, box, car
 
 

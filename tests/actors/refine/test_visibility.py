@@ -17,7 +17,7 @@ from recast.actors.refine.images import (
 )
 from recast.scene.actor import draw
 from recast.splats import CLASSIC, Gaussians
-from recast.splats.sh import C0
+from recast.splats.gaussians import C0
 
 FROM_LEFT = np.linspace(0.3, 0.7, 6) * np.pi
 

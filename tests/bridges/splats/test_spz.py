@@ -13,7 +13,7 @@ import torch
 
 from recast.core.errors import InputError
 from recast.splats import MIP, Gaussians
-from recast.splats.sh import C0
+from recast.splats.gaussians import C0
 from recast_bridges.splats.spz import read_low_pass, read_spz, write_spz
 from support.splat_scenes import random_gaussians
 

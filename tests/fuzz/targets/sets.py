@@ -14,12 +14,12 @@ from recast.core.images import decode_image, rgba
 from recast.recar.ingest import ingest_photographs
 from recast.recar.ingest_table import read_table
 from recast.recar.perturb import PerturbationConfig, read_perturbations, write_perturbations
-from recast.recar.real_crops import read_real_crops
 from recast.recar.screening import read_decisions, screened_vehicles, write_screening
 from recast.recar.target_cache import TargetCache
 from recast.recar.training_conditions import TrainingAsset, read_asset, write_asset
 from recast.recar.training_config import read_stage_config
 from recast.recar.vehicle_set import read_set
+from recast.recar.views import read_real_crops
 from support import target_caches
 from support.crops import write_crops
 from support.tiny_stage import tiny_config

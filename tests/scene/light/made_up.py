@@ -12,7 +12,7 @@ from recast.scene import SceneActor, SkyMap, StreetScene
 from recast.scene.light import SceneLight, SunBelief
 from recast.scene.light.sun import Patches, directions
 from recast.splats import Gaussians
-from recast.splats.sh import C0
+from recast.splats.gaussians import C0
 
 Array = NDArray[np.float64]
 

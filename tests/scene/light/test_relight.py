@@ -21,7 +21,7 @@ from recast.scene.light import (
 )
 from recast.scene.light.relight import COAT, Paint, PlaceLight, rounded
 from recast.splats import Gaussians
-from recast.splats.sh import C0
+from recast.splats.gaussians import C0
 from scene.light import made_up
 
 PEBBLES = 300

@@ -7,7 +7,7 @@ import torch
 from recast.scene.light.relight import SceneLight
 from recast.scene.light.sun import SUN_OVER_SKY, Occupancy, directions
 from recast.splats import concatenate
-from recast.splats.sh import basis
+from recast.splats.gaussians import harmonic_basis
 from scene.light import made_up
 
 HOUSE = np.array([8.0, 4.0, 6.0])
@@ -72,7 +72,7 @@ def test_harmonics_are_those_of_the_clamped_cosine() -> None:
     sun = made_up.sun_at(0.0, np.radians(30.0))
     normals = torch.nn.functional.normalize(torch.randn(50, 3, dtype=torch.float64), dim=1)
     c = normals.numpy() @ (sun.probability @ directions()[0])
-    found = basis(normals, 2).numpy() @ sun.harmonics
+    found = harmonic_basis(normals, 2).numpy() @ sun.harmonics
     np.testing.assert_allclose(found, 0.25 + 0.5 * c + 5 * (3 * c**2 - 1) / 32, atol=1e-12)
 
 

@@ -19,7 +19,7 @@ from recast.logs.checks import BOX_SIDE
 from recast.scene.actor import SceneActor
 from recast.scene.street_scene import CLOCK_TOLERANCE_US, stands
 from recast.splats import Gaussians
-from recast.splats.sh import rotate
+from recast.splats.gaussians import rotate_harmonics
 from recast_bridges.scenes.checkpoint import CheckpointTable
 
 TURNING = "harmonics of actors turn with the actor; in the checkpoint they do not"
@@ -97,7 +97,7 @@ def colours_in_own_frame(
     first, last = (int(time) for time in trajectory.timestamps_us[[0, -1]])
     world_from_actor = trajectory.at(first + round(share * (last - first)))
     turn = se3.inverse(world_from_actor)[:3, :3] @ world_from_scene[:3, :3]
-    return replace(gaussians, sh=rotate(gaussians.sh, torch.from_numpy(turn).float()))
+    return replace(gaussians, sh=rotate_harmonics(gaussians.sh, torch.from_numpy(turn).float()))
 
 
 def choose_tracks(

@@ -23,7 +23,7 @@ from recast.core.torch_file import read_torch_file
 from recast.geometry import se3
 from recast.logs.checks import WORLD_REACH, refused
 from recast.splats import Gaussians
-from recast.splats.sh import MAX_DEGREE
+from recast.splats.gaussians import MAX_DEGREE
 from recast_bridges.scenes.checkpoint import (
     ARRAYS,
     CheckpointTable,

@@ -18,8 +18,7 @@ from recast.logs import DrivingLog, Trajectory
 from recast.logs.checks import LATEST_US, WORLD_REACH
 from recast.scene.actor import mirrored
 from recast.splats import Gaussians, concatenate
-from recast.splats.gaussians import quat_multiply
-from recast.splats.sh import C0, MAX_DEGREE
+from recast.splats.gaussians import C0, MAX_DEGREE, quat_multiply
 from recast_bridges.scenes.checkpoint import (
     CheckpointTable,
     Names,

@@ -25,9 +25,8 @@ from torch import Tensor
 from recast.core.errors import InputError
 from recast.core.files import read_bytes, write_bytes
 from recast.splats.formats import SplatFormat
-from recast.splats.gaussians import Gaussians
+from recast.splats.gaussians import MAX_DEGREE, Gaussians
 from recast.splats.rasterization import MIP, LowPass
-from recast.splats.sh import MAX_DEGREE
 
 Bytes = NDArray[np.uint8]
 

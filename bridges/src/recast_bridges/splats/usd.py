@@ -23,9 +23,8 @@ from recast.core.errors import InputError
 from recast.core.files import read_bytes, write_bytes
 from recast.geometry import se3
 from recast.splats.formats import SplatFormat
-from recast.splats.gaussians import Gaussians, concatenate, from_linear, to_linear
+from recast.splats.gaussians import MAX_DEGREE, Gaussians, concatenate, from_linear, to_linear
 from recast.splats.rasterization import LowPass, parse_low_pass
-from recast.splats.sh import MAX_DEGREE
 
 LONGEST_USD = 1 << 33
 """Bytes of a file, at most."""

@@ -28,8 +28,7 @@ from recast.reconstruction.settings import generator, picked_view
 from recast.scene.actor import draw, mirrored
 from recast.splats import Gaussians, LowPass, concatenate
 from recast.splats.adam import RowAdam
-from recast.splats.gaussians import quat_multiply, quat_to_matrix
-from recast.splats.sh import C0
+from recast.splats.gaussians import C0, quat_multiply, quat_to_matrix
 from recast.training.state import below
 
 FIELDS = ("means", "quats", "log_scales", "logit_opacities", "sh")

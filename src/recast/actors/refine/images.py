@@ -40,8 +40,7 @@ from recast.scene.light import CastShadow, SceneLight, darkened
 from recast.scene.light.sun import DIRECTIONS
 from recast.scene.sky import composite, pixel_coordinates
 from recast.splats import CLASSIC, Gaussians, LowPass, concatenate, refiltered
-from recast.splats.gaussians import quat_to_matrix
-from recast.splats.sh import C0
+from recast.splats.gaussians import C0, quat_to_matrix
 
 
 @dataclass(frozen=True)

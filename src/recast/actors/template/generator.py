@@ -62,7 +62,7 @@ from recast.actors.template.texture import (
 from recast.arrays import Array, Int64Array
 from recast.geometry.colour import linear_to_gamma
 from recast.splats import MIP, Gaussians, concatenate
-from recast.splats.sh import C0
+from recast.splats.gaussians import C0
 
 _OPACITY = 0.99
 _STYLES = 3  # offered to choose from

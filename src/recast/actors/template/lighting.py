@@ -28,7 +28,7 @@ from recast.arrays import Array
 from recast.geometry import se3
 from recast.geometry.colour import gamma_to_linear, linear_to_gamma
 from recast.scene.light.relight import COAT
-from recast.splats.sh import C0, C1
+from recast.splats.gaussians import C0, C1
 
 # Linear light of what a car mirrors in a street with trees, on a clear day and under clouds.
 _ZENITH = np.array([[0.24, 0.44, 0.82], [0.78, 0.79, 0.80]])

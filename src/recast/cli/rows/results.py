@@ -10,6 +10,7 @@ from recast.actors.actor import CandidateRecord
 from recast.cli.shared import Rows, with_unit
 from recast.core.errors import InputError
 from recast.metrics import COLUMNS
+from recast.metrics.plan_agreement import PlanAgreement
 from recast.metrics.scene_level_table import LevelRow
 from recast.metrics.table import Bootstrap
 from recast.metrics.trust import Reliability
@@ -258,6 +259,29 @@ def photograph_rows(evaluation: PhotographEvaluation) -> Rows:
             for name, why in one.failures.items()
         ]
     return {"vehicles": vehicles, "mean": means, "failures": failures}
+
+
+def agreement_rows(found: PlanAgreement) -> Rows:
+    """Scores of each kind of image; shares in per cent."""
+    rows = []
+    for one in found.table:
+        shares = {"near": one.near, "moved": one.moved, "other_decision": one.other_decision}
+        rows.append(
+            {
+                "planner": found.planner,
+                "log": found.log,
+                "images": one.images,
+                "kind": one.kind,
+                "moments": one.moments,
+                "psnr_db": one.psnr,
+                "ade_m": one.ade,
+                "fde_m": one.fde,
+                "median_fde_m": one.median,
+                **{f"{key}_percent": 100 * share for key, share in shares.items()},
+                "same_boxes_percent": None if one.boxes is None else 100 * one.boxes,
+            }
+        )
+    return {"scores": rows, "left_out": [{"moments": found.left_out}]}
 
 
 def driving_rows(found: PlannerDriving) -> Rows:

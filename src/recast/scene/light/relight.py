@@ -29,7 +29,7 @@ from recast.scene.light.sun import (
 )
 from recast.scene.street_scene import StreetScene
 from recast.splats import Gaussians, concatenate
-from recast.splats.sh import C0, basis, rotate
+from recast.splats.gaussians import C0, harmonic_basis, rotate_harmonics
 
 _LANE_M = 1.5  # from vehicles' paths: there it is road that is seen
 _ROAD_OVER_SKY = 0.35  # least brightness of sunlit road over that of the sky near the horizon
@@ -82,7 +82,7 @@ class LitSurface:
     def of(cls, normals: Tensor, points: Tensor, size: Array) -> Self:
         """The surface of points and normals (N, 3), actor frame, of a vehicle of `size` (3,)."""
         shares = near_stations(points[:, 0].detach().cpu().numpy().astype(np.float64), size)
-        return cls(normals, basis(normals, 2), torch.from_numpy(shares).to(normals))
+        return cls(normals, harmonic_basis(normals, 2), torch.from_numpy(shares).to(normals))
 
 
 def near_stations(ahead: Array, size: Array) -> Array:
@@ -152,7 +152,7 @@ class SceneLight:
     def sun_on_ground(self) -> float:
         """Expected cosine between the sun and the vertical."""
         up = torch.tensor([0.0, 0.0, 1.0], dtype=torch.float64)
-        return float(basis(up, 2) @ self._harmonics)
+        return float(harmonic_basis(up, 2) @ self._harmonics)
 
     def brightness(self, point: Array) -> float | None:
         """Median linear brightness of the road around a point (3,) on it; None if none was seen."""
@@ -192,7 +192,9 @@ class SceneLight:
         Args:
             rotation: (3, 3) `world_from_actor`.
         """
-        turned = rotate(self._harmonics[None, :, None], torch.from_numpy(rotation.T.copy()))
+        turned = rotate_harmonics(
+            self._harmonics[None, :, None], torch.from_numpy(rotation.T.copy())
+        )
         facing = (surface.harmonics @ turned[0].to(surface.normals)).clamp(min=0)[:, 0]
         up = surface.normals @ torch.from_numpy(rotation[2]).to(surface.normals)
         shares = torch.from_numpy(np.stack([place.sky, place.sun], axis=-1)).to(surface.normals)

@@ -21,7 +21,7 @@ from recast.arrays import Array, Mask
 from recast.geometry import se3
 from recast.geometry.colour import gamma_to_linear
 from recast.splats import Gaussians
-from recast.splats.sh import C0, basis
+from recast.splats.gaussians import C0, harmonic_basis
 
 VOXEL_M = 0.5
 MOST_VOXELS = 8_000_000
@@ -221,7 +221,7 @@ class SunBelief:
     @property
     def harmonics(self) -> Array:
         """(9,) coefficients of the expected cosine to the sun, 0 where it is behind, by normal."""
-        values = basis(torch.from_numpy(directions()[0]), 2).numpy()
+        values = harmonic_basis(torch.from_numpy(directions()[0]), 2).numpy()
         return _BANDS.numpy() * (self.probability @ values)
 
     def given(self, evidence: Array) -> SunBelief:

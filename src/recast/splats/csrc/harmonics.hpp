@@ -1,5 +1,5 @@
 // Real spherical harmonics up to degree 3 and their derivatives, W directions at a time.
-// Order and signs as in sh.py.
+// Order and signs as in gaussians.py.
 #pragma once
 #include "simd.hpp"
 

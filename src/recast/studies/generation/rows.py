@@ -24,8 +24,7 @@ from recast.core.files import folder_name
 from recast.core.records import Record, read_record
 from recast.metrics.actor_scores import ActorCase, Targets
 from recast.recar.perturb import PerturbationConfig
-from recast.recar.vehicle_set import Text
-from recast.recar.views import read_picture
+from recast.recar.views import Text, read_picture
 from recast.runs.sources import generator_source
 from recast.trellis import verify_checkpoint
 
