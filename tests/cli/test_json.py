@@ -273,7 +273,8 @@ def test_vehicles_and_planners(capsys: Capture) -> None:
     from recast.cli.rows import results
     from recast.metrics.table import Bootstrap
     from recast.studies.generation.report import StudyBlock, StudyDifference, StudyRow
-    from recast.studies.photographs import PhotographEvaluation, PhotographScores, TrackResult
+    from recast.studies.logged_vehicles import TrackResult
+    from recast.studies.photographs import PhotographEvaluation, PhotographScores
     from recast_tools.cli.planner import _probe_rows
     from recast_tools.planner_probe import ProbeRow
 

@@ -8,7 +8,7 @@ import pytest
 
 from recast.arrays import Array
 from recast.metrics.actor_scores import ScoredCutout
-from recast.metrics.vehicle_looks import (
+from recast.metrics.oracle_scores import (
     fine_energy_share,
     light_gain,
     paint_distance,

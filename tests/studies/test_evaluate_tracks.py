@@ -35,9 +35,30 @@ def test_tracks_of_a_log(
     assert (out / "track_0" / "held_out.png").is_file()
 
 
+@pytest.mark.whole
+def test_a_hidden_side(
+    tiny_log_folder: Path, scene: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "out"
+    command = ["eval", "actor", "template", str(tiny_log_folder), "--scene", str(scene)]
+    command += ["--track", "0", "--hide", "1", "--out", str(out)]
+    assert main(command) == 0
+    told = capsys.readouterr().out
+    assert "images 1 degrees from all that were looked at" in told
+    assert all(len(line) <= 80 for line in told.splitlines())
+    (track,) = json.loads((out / "metrics.json").read_text())["hidden"]
+    assert track["kept"] > 0 and track["hidden"] > 0
+    for model in ("reconstructed", "replaced", "all images: reconstructed", "all images: replaced"):
+        assert set(track["scores"][model]) == {"psnr", "ssim", "mask_iou"}
+    assert (out / "track_0" / "hidden.png").is_file()
+    assert (out / "track_0" / "street" / "scene.json").is_file()
+
+
 @pytest.mark.parametrize(
     ("options", "problem"),
     [
+        (["--scene", "SCENE", "--track", "0", "--hide", "170"], "is seen over"),
+        (["--scene", "SCENE", "--track", "0", "--hide", "0"], "hide"),
         (["--scene", "SCENE"], "--track: tracks: none is given"),
         (["--scene", "SCENE", "--track", "1"], "track 1"),
     ],

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
@@ -36,6 +36,7 @@ from recast.core.diagnostics import Progress
 from recast.core.errors import InputError
 from recast.geometry import boxes, se3
 from recast.logs import CameraStream, DrivingLog, Track, track_points
+from recast.logs.load import arc
 from recast.reconstruction import SceneConfig
 from recast.reconstruction.views import TrainingView, camera_names, is_held_out, read_view
 from recast.scene.street_scene import pose_at
@@ -277,6 +278,7 @@ def gather_evidence(
     segmenter: Segmenter,
     config: SceneConfig,
     hits: NDArray[np.float32] | None = None,
+    usable: Usable | None = None,
     progress: Progress | None = None,
 ) -> Evidence:
     """All training images of a track with masks, its LiDAR points and the free space in its box.
@@ -286,6 +288,7 @@ def gather_evidence(
     Args:
         config: cameras, image scale, and which images are held out: those do not enter.
         hits: (N, 3) LiDAR points of the track, if they have been read: `track_points`.
+        usable: tells which frames enter; None: those that are not held out.
         progress: called with the number of images done, and of all.
 
     Raises:
@@ -293,7 +296,9 @@ def gather_evidence(
     """
     track = track_of(log, track_id)
     hits = track_points(log, track).points if hits is None else hits
-    scores, left_out = _candidates(log, track, config)
+    if usable is None:
+        usable = training_frames(config)
+    scores, left_out = _candidates(log, track, config, usable)
     few = thinned(hits, _LIDAR_POINTS)
     sweeps = NearestSweeps(log)
     sightings: list[Sighting] = []
@@ -322,15 +327,97 @@ def gather_evidence(
     )
 
 
+def training_frames(config: SceneConfig) -> Usable:
+    """The frames that a scene is trained on: those held out must not lead to its actors either."""
+    return lambda camera, frame: not is_held_out(frame, config)
+
+
+@dataclass(frozen=True)
+class TrackSides:
+    """The images of a track, split by the direction that they show it from.
+
+    Attributes:
+        kept: what may be looked at.
+        between: images less than the angle away from some of `kept`, which are not used at all.
+        hidden: images that are farther from each of `kept`.
+    """
+
+    kept: tuple[ViewScore, ...]
+    between: tuple[ViewScore, ...]
+    hidden: tuple[ViewScore, ...]
+
+
+def split_sides(log: DrivingLog, track_id: str, config: SceneConfig, degrees: float) -> TrackSides:
+    """Split a track's images into those of one side and those of another.
+
+    The images that show it well enough for `gather_evidence`, held-out ones too, are sorted by the
+    direction from its box to the camera. Kept are those from one end of the arc, hidden those more
+    than `degrees` away from all of them: of all such splits, from either end, the one with the most
+    images in its smaller part.
+
+    Raises:
+        InputError: the images do not span the angle; or no such track or camera.
+    """
+    track = track_of(log, track_id)
+    views, _ = _candidates(log, track, config, lambda camera, frame: True)
+    start, span = arc([np.degrees(one.azimuth) for one in views]) if views else (0.0, 0.0)
+    best = TrackSides((), (), ())
+
+    def along(one: ViewScore) -> float:
+        return float((np.degrees(one.azimuth) - start + 1e-6) % 360.0)
+
+    for ordered in (sorted(views, key=along), sorted(views, key=lambda one: -along(one))):
+        for count in range(1, len(ordered)):
+            edge = along(ordered[count - 1])
+            apart = [abs(along(one) - edge) > degrees for one in ordered[count:]]
+            between = len(apart) - sum(apart)
+            split = TrackSides(
+                tuple(ordered[:count]),
+                tuple(ordered[count : count + between]),
+                tuple(ordered[count + between :]),
+            )
+            if min(len(split.kept), len(split.hidden)) > min(len(best.kept), len(best.hidden)):
+                best = split
+    if not best.hidden:
+        raise InputError(
+            log.name,
+            f"track {track_id}",
+            f"is seen over {span:.0f} degrees, so that none of its images is {degrees:g} degrees "
+            "from all others that are kept",
+            "hide less or choose another track; `recast log info` lists how much each spans",
+        )
+    return best
+
+
+def without_sides(
+    log: DrivingLog, track_id: str, hidden: Sequence[ViewScore], growth: float = 0.25
+) -> DrivingLog:
+    """The log with a track's box, grown by a share of its sides, hidden in some images; see
+    `CameraStream.hidden`."""
+    track, cameras = track_of(log, track_id), dict(log.cameras)
+    for one in hidden:
+        stream = cameras[one.camera]
+        camera_from_world = se3.inverse(
+            log.world_from_rig.at(one.timestamp_us) @ stream.rig_from_camera
+        )
+        pose = camera_from_world @ track.trajectory.at(one.timestamp_us)
+        box = box_rectangle(track.size * (1 + growth), pose, stream.camera.rectified())
+        assert box is not None  # the image shows it
+        left, top, right, bottom = (float(edge) for edge in box)
+        frames = {**stream.hidden, one.frame: (left, top, right, bottom)}
+        cameras[one.camera] = replace(stream, hidden=frames)
+    return replace(log, cameras=cameras)
+
+
 def _candidates(
-    log: DrivingLog, track: Track, config: SceneConfig
+    log: DrivingLog, track: Track, config: SceneConfig, usable: Usable
 ) -> tuple[list[ViewScore], list[str]]:
-    """Training images with the box well in view, in order of time, and why others are not."""
+    """Usable images with the box well in view, in order of time, and why others are not."""
     scores, left_out = [], []
     for name in camera_names(log, config):
         stream = log.cameras[name]
         for frame in range(len(stream.timestamps_us)):
-            if is_held_out(frame, config):
+            if not usable(name, frame):
                 continue
             score = score_frame(log, track, stream, frame)
             if score is None:

@@ -98,7 +98,7 @@ def _label(source: str) -> str:
 @dataclass(frozen=True)
 class EvalActor:
     """Make and refine the vehicles of a log's tracks and compare them with the log's held-out
-    images."""
+    images, or with images of a hidden side."""
 
     model: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="MODEL")]
     """Generator of the vehicles: auto, template, an installed generator, a vehicle file or a model
@@ -111,39 +111,62 @@ class EvalActor:
     track: Annotated[
         shared.Names, shared.option("Id of a track of the log to evaluate. May be repeated.")
     ] = ()
+    hide: Annotated[
+        float | None,
+        shared.option(
+            "Hide the images of one side: those that look at the vehicle from more degrees away "
+            "than this from all others, and compare with them. Trains a street without them.",
+            "compare with held-out images",
+            metavar="DEG",
+        ),
+    ] = None
     segmenter: Annotated[str, shared.SEGMENTER] = "box-lidar"
     axes: Annotated[str, shared.AXES] = "auto"
     seed: Annotated[int, shared.SEED] = 0
+    lpips_weights: Annotated[Path | None, shared.LPIPS_WEIGHTS] = None
     json: Annotated[bool, JSON] = False
 
     def __call__(self) -> None:
+        from recast.cli.rows.results import hidden_rows, track_rows
+        from recast.core.errors import require_range
         from recast.logs import read_log
+        from recast.metrics.perceptual import load_distances
         from recast.reconstruction import read_training_config
         from recast.runs.actor import ActorMakers
         from recast.runs.display import SamplingProgress
         from recast.scene import load_scene
-        from recast.studies.photographs import evaluate_tracks, tracks_table
+        from recast.studies import logged_vehicles as study
+        from recast.weights import located
 
+        if self.hide is not None:
+            require_range(1.0, 180.0, hide=self.hide)
+        distances = load_distances(located("--lpips-weights", self.lpips_weights), None, None)
         makers = ActorMakers.named(self.model, self.segmenter, self.axes)
+        given = read_log(self.log), load_scene(self.scene), read_training_config(self.scene)
         console = console_for(self.json)
         with SamplingProgress(console) as progress:
-            results = evaluate_tracks(
-                read_log(self.log),
-                load_scene(self.scene),
-                read_training_config(self.scene),
-                self.track,
-                makers,
-                self.out,
-                self.seed,
-                progress,
-            )
+            if self.hide is None:
+                results = study.evaluate_tracks(
+                    *given, self.track, makers, self.out, self.seed, progress
+                )
+                table, rows = study.tracks_table(results), track_rows(results)
+            else:
+                hidden = study.evaluate_hidden(
+                    *given,
+                    self.track,
+                    self.hide,
+                    makers,
+                    self.out,
+                    self.seed,
+                    next(iter(distances), None),
+                    progress,
+                )
+                table, rows = study.hidden_table(hidden), hidden_rows(hidden)
         console.print(f"wrote {self.out}", markup=False)
         if self.json:
-            from recast.cli.rows.results import track_rows
-
-            print_json(track_rows(results))
+            print_json(rows)
             return
-        console.print(tracks_table(results))
+        console.print(table)
 
 
 @dataclass(frozen=True)

@@ -271,6 +271,7 @@ class TrackVisibility:
         crop: width and height in pixels of the largest part of an image that the box covers, among
             the frames that show it whole if there are any.
         whole: whether a frame shows the whole box, not cut by the border of the image.
+        span: degrees about the box's vertical axis that the directions to the cameras span.
     """
 
     frames: int
@@ -280,6 +281,7 @@ class TrackVisibility:
     right: int
     crop: tuple[int, int]
     whole: bool = True
+    span: float = 0.0
 
     def sides(self) -> tuple[str, ...]:
         """Names of the faces seen at all."""
@@ -420,7 +422,8 @@ def _rated(track: TrackInfo) -> TrackInfo:
     unseen = [side for side in SIDES if side not in seen.sides()]
     why = (
         f"{moves}; {seen.frames} frames, up to {seen.crop[0]} x {seen.crop[1]} px; "
-        f"{points:,} LiDAR points; {', '.join(unseen) or 'no side'} never seen"
+        f"{points:,} LiDAR points; {', '.join(unseen) or 'no side'} never seen; "
+        f"views span {seen.span:.0f} degrees"
     )
     return replace(track, usable=True, why=why)
 
@@ -436,6 +439,7 @@ def track_visibility(log: DrivingLog, track: Track) -> TrackVisibility:
     counts = dict.fromkeys(SIDES, 0)
     frames = 0
     largest, is_whole = (0, 0), False
+    azimuths = []
     for camera in log.cameras.values():
         for time in camera.timestamps_us.tolist():
             if not track.trajectory.covers(time):
@@ -451,12 +455,23 @@ def track_visibility(log: DrivingLog, track: Track) -> TrackVisibility:
             if (whole, max(crop)) > (is_whole, max(largest)):
                 largest, is_whole = crop, whole
             eye = se3.inverse(camera_from_box)[:3, 3]
+            azimuths.append(float(np.degrees(np.arctan2(eye[1], eye[0]))))
             for side, (axis, sign) in SIDES.items():
                 towards = eye.copy()
                 towards[axis] -= sign * track.size[axis] / 2
                 sine = sign * towards[axis] / max(float(np.linalg.norm(towards)), 1e-9)
                 counts[side] += bool(sine > np.sin(GRAZING))
-    return TrackVisibility(frames=frames, **counts, crop=largest, whole=is_whole)
+    span = arc(azimuths)[1] if azimuths else 0.0
+    return TrackVisibility(frames=frames, **counts, crop=largest, whole=is_whole, span=span)
+
+
+def arc(degrees: Sequence[float]) -> tuple[float, float]:
+    """The shortest arc that holds directions: where it begins, counter-clockwise, and its length,
+    degrees."""
+    around = np.sort(np.asarray(degrees) % 360.0)
+    gaps = np.diff(around, append=around[0] + 360.0)
+    widest = int(gaps.argmax())
+    return float(around[(widest + 1) % len(around)]), float(360.0 - gaps[widest])
 
 
 def crop_in_image(

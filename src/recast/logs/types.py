@@ -65,6 +65,8 @@ class CameraStream:
         timestamps_us: (F,) int64, strictly increasing.
         images: F lazy frames (height, width, 3) uint8 RGB.
         mask: (height, width) bool, False where the image is never usable (ego body), or None.
+        hidden: rectangles (left, top, right, bottom) of frames, in pixels of the rectified image,
+            that no street may be trained on; not stored with the log.
     """
 
     name: str
@@ -73,6 +75,7 @@ class CameraStream:
     timestamps_us: Int64Array
     images: ImageSource
     mask: Mask | None = None
+    hidden: Mapping[int, tuple[float, float, float, float]] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)

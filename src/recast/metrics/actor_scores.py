@@ -12,7 +12,7 @@ from __future__ import annotations
 import math
 import zlib
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 from typing import Literal
@@ -23,6 +23,7 @@ import torch
 from numpy.typing import NDArray
 
 from recast.actors import Observation
+from recast.actors.evidence import Sighting
 from recast.actors.insert import draw
 from recast.actors.observe import observation_of_view
 from recast.arrays import Array, Image, Mask
@@ -30,7 +31,7 @@ from recast.cameras import PinholeCamera
 from recast.core.errors import InputError
 from recast.geometry import se3
 from recast.logs import DrivingLog
-from recast.metrics.oracle_scores import grown, mask_iou
+from recast.metrics.oracle_scores import actor_mask, grown, mask_iou
 from recast.metrics.perceptual import ImageDistance
 from recast.recar import RealView, holds_real_crops, read_real_crops
 from recast.recar.vehicle_set import SET_FILE, Identity, read_set
@@ -450,6 +451,8 @@ class TrackView:
         rectangle: rectangle of the box, whole pixels.
         psnr: dB in the rectangle by model, at most 100.
         ssim: mean over the rectangle by model.
+        mask_iou: overlap of the vehicle's outline with its mask by model; empty without masks.
+        lpips: distance in the rectangle by model; empty without weights.
         picture: (H, W, 3) box and margin: the recording, then each model.
     """
 
@@ -460,10 +463,18 @@ class TrackView:
     psnr: dict[str, float]
     ssim: dict[str, float]
     picture: Image
+    mask_iou: dict[str, float] = field(default_factory=dict)
+    lpips: dict[str, float] = field(default_factory=dict)
 
 
 def held_out_track(
-    log: DrivingLog, track_id: str, config: SceneConfig, models: Mapping[str, StreetScene]
+    log: DrivingLog,
+    track_id: str,
+    config: SceneConfig,
+    models: Mapping[str, StreetScene],
+    *,
+    masks: Mapping[tuple[str, int], Sighting] | None = None,
+    distance: ImageDistance | None = None,
 ) -> Iterator[TrackView]:
     """Score the held-out images that show a track well enough, in which nothing is moved.
 
@@ -471,6 +482,8 @@ def held_out_track(
         config: configuration of the scenes' training: cameras, scale and split.
         models: scenes by name, each with a model of the track. The first one's poses say where the
             box is.
+        masks: images of the track with masks, by camera and frame: then these are scored instead.
+        distance: LPIPS.
 
     Yields:
         an image after the other, camera by camera.
@@ -481,7 +494,8 @@ def held_out_track(
         stream = log.cameras[name]
         for frame in range(len(stream.timestamps_us)):
             pose = pose_at(own.trajectory, int(stream.timestamps_us[frame]))
-            if pose is None or not is_held_out(frame, config):
+            chosen = is_held_out(frame, config) if masks is None else (name, frame) in masks
+            if pose is None or not chosen:
                 continue
             view = read_view(log, stream, frame, config.scale, held_out=True)
             outline = visible_rectangle(own.size, pose, view)
@@ -493,7 +507,27 @@ def held_out_track(
                 model: draw_view(rasterizers[model], scene, view).rgb.astype(np.float64)
                 for model, scene in models.items()
             }
-            yield _scored(view, (left, top, right, bottom), images)
+            found = _scored(view, (left, top, right, bottom), images)
+            if masks is not None:
+                sighting = masks[name, frame]
+                outlines = {m: _outline_iou(one, track_id, sighting) for m, one in models.items()}
+                found = replace(found, mask_iou=outlines)
+            if distance is not None:
+                inside = (slice(top, bottom), slice(left, right))
+                truth = view.image[inside] / 255
+                apart = {model: distance(image[inside], truth) for model, image in images.items()}
+                found = replace(found, lpips=apart)
+            yield found
+
+
+def _outline_iou(scene: StreetScene, track_id: str, sighting: Sighting) -> float:
+    """Overlap of the drawn vehicle's outline with the mask, where the mask is believed."""
+    actor, time_us = scene.actors[track_id], sighting.timestamp_us
+    pose = pose_at(actor.trajectory, time_us)
+    assert pose is not None
+    place = scene.corrected_camera(sighting.camera_from_world, sighting.camera_name, time_us)
+    drawn, believed = actor_mask(actor, sighting.camera, place, pose), sighting.trust > 0.5
+    return mask_iou(drawn & believed, (sighting.mask > 0.5) & believed)
 
 
 def _scored(

@@ -90,7 +90,7 @@ def read_places(log: DrivingLog, config: SceneConfig) -> list[TrainingView]:
 def read_views(log: DrivingLog, config: SceneConfig) -> list[TrainingView]:
     """All views of the chosen cameras, camera by camera, in order of time.
 
-    A camera's views share one mask: it hangs on lens and mount alone.
+    A camera's views share one mask, which hangs on lens and mount; not so frames with hidden parts.
     """
     views = []
     for name in camera_names(log, config):
@@ -98,8 +98,10 @@ def read_views(log: DrivingLog, config: SceneConfig) -> list[TrainingView]:
         for frame in range(len(log.cameras[name].timestamps_us)):
             held_out = is_held_out(frame, config)
             view = read_view(log, log.cameras[name], frame, config.scale, held_out)
-            mask = view.mask if mask is None else mask
-            views.append(replace(view, mask=mask))
+            if frame not in log.cameras[name].hidden:
+                mask = view.mask if mask is None else mask
+                view = replace(view, mask=mask)
+            views.append(view)
     return views
 
 
@@ -119,7 +121,13 @@ def read_view(
     if scale != 1.0:
         size = (place.camera.width, place.camera.height)
         image = np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), np.uint8)
-    return replace(place, image=image, mask=None if mask is None else fit_mask(full, mask, scale))
+    fitted = None if mask is None else fit_mask(full, mask, scale)
+    if frame in stream.hidden:
+        fitted = np.ones(image.shape[:2], bool) if fitted is None else fitted
+        low = np.floor(np.array(stream.hidden[frame][:2]) * scale).clip(0).astype(int)
+        high = np.ceil(np.array(stream.hidden[frame][2:]) * scale).clip(0).astype(int)
+        fitted[low[1] : high[1], low[0] : high[0]] = False
+    return replace(place, image=image, mask=fitted)
 
 
 def _place(

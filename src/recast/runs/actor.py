@@ -34,7 +34,7 @@ from recast.actors.evidence import load_evidence, save_evidence
 from recast.actors.generate import candidates_of
 from recast.actors.insert import require_model
 from recast.actors.observation import Usable
-from recast.actors.observe import gather_evidence
+from recast.actors.observe import gather_evidence, training_frames
 from recast.actors.refine import refine
 from recast.actors.register import choose
 from recast.core import files
@@ -44,7 +44,6 @@ from recast.geometry import boxes, se3
 from recast.logs import DrivingLog
 from recast.metrics import evaluate_oracle_views
 from recast.reconstruction import SceneConfig
-from recast.reconstruction.views import is_held_out
 from recast.reporting.previews import draw_actor_sheet, turntable_frames
 from recast.reporting.video import write_video
 from recast.runs.display import SamplingProgress, truth_table
@@ -108,6 +107,7 @@ def make_actor(
     config: SceneConfig,
     views: int = 1,
     progress: StageProgress | None = None,
+    usable: Usable | None = None,
 ) -> Actor:
     """Observe, gather evidence, generate candidates, register and choose.
 
@@ -119,14 +119,16 @@ def make_actor(
             out.
         views: largest number of views of the track that a generator is given.
         progress: function that is told the stage, the pieces done, and all pieces of the stage.
+        usable: tells which frames may be looked at; None: those that are not held out.
     """
+    usable = training_frames(config) if usable is None else usable
     observation = observe(
         log,
         track_id,
         segmenter=makers.segmenter,
         cameras=config.cameras,
         views=views,
-        usable=training_frames(config),
+        usable=usable,
     )
     evidence = gather_evidence(
         log,
@@ -134,6 +136,7 @@ def make_actor(
         segmenter=makers.segmenter,
         config=config,
         hits=observation.points,
+        usable=usable,
         progress=_stage(progress, "images"),
     )
     with files.atomic_folder(out / OBSERVATION_FOLDER) as folder:
@@ -175,11 +178,6 @@ def refine_actor(
 
 def _stage(progress: StageProgress | None, name: str) -> Progress | None:
     return None if progress is None else partial(progress, name)
-
-
-def training_frames(config: SceneConfig) -> Usable:
-    """The frames that a scene is trained on: those held out must not lead to its actors either."""
-    return lambda camera, frame: not is_held_out(frame, config)
 
 
 def film_turntable(actor: Actor, path: Path) -> None:

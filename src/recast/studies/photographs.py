@@ -1,9 +1,8 @@
-"""Judge vehicles by images that they were not made from: photographs, or a log's held-out ones.
+"""Judge vehicles by photographs that they were not made from.
 
 One or several generators make the vehicles of one or several sets; every reserved view is compared
 by parts, paint, sharpness and pixels. Views far from all inputs have means of their own: they show
-what the generator made up. Of a log's tracks, what the scene reconstructed is compared with the
-actor as registered and as refined.
+what the generator made up.
 """
 
 from __future__ import annotations
@@ -15,44 +14,34 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from PIL import Image as PilImage
 from rich.box import SIMPLE_HEAD
 from rich.table import Table
 
-from recast.actors import Actor, ActorGenerator, insert, load_actor, make_generator
+from recast.actors import ActorGenerator, make_generator
 from recast.actors.generate import generated
-from recast.actors.insert import require_model
 from recast.actors.place import PlacementReport, place_asset
 from recast.arrays import Array, Image
 from recast.core.diagnostics import Progress
 from recast.core.errors import InputError
 from recast.core.files import atomic_folder, write_json
-from recast.logs import DrivingLog
 from recast.metrics.actor_scores import (
     ACTOR_COLUMNS,
     ActorCase,
     ActorColumn,
     ActorView,
     ScoredCutout,
-    TrackView,
     case_observation,
     drawn,
-    held_out_track,
     mean_scores,
     photographed,
     read_cases,
     score_view,
 )
+from recast.metrics.oracle_scores import light_gain, paint_distance, sharpness, structure_distance
 from recast.metrics.part_checks import PartCheck, paint_colours, part_checks, passed_share
 from recast.metrics.perceptual import ImageDistance
 from recast.metrics.table import rounded
-from recast.metrics.vehicle_looks import light_gain, paint_distance, sharpness, structure_distance
-from recast.reconstruction.config import SceneConfig
-from recast.reporting.drawing import at_width
-from recast.runs.actor import ActorMakers, StageProgress, make_actor, refine_actor
-from recast.runs.run_folder import ACTOR_FOLDER
-from recast.scene import StreetScene
 from recast.studies.generation.rows import VIEWS, read_views, view_paths
 from recast.studies.sheets import ComparedView, comparison_sheet
 
@@ -67,10 +56,6 @@ PHOTOGRAPH_COLUMNS: Mapping[str, ActorColumn] = {
     **ACTOR_COLUMNS,
 }
 """Scores in the order of the table. `parts` is the share of the decided checks that passed."""
-MODELS = ("reconstructed", "registered", "refined")
-"""The scene's own model of the track, the actor as registered, and as refined."""
-_TILE_WIDTH = 960
-_SHOWN = 6
 
 
 @dataclass(frozen=True)
@@ -369,112 +354,3 @@ def _caption(view: ViewResult) -> str:
         f"PSNR {scores['psnr_vehicle']:.1f}  IoU {scores['mask_iou']:.2f}  "
         f"paint {scores['paint']:.0f}  sharp {scores['sharpness']:.2f}"
     )
-
-
-@dataclass(frozen=True)
-class TrackResult:
-    """One track.
-
-    Attributes:
-        images: number of held-out images that show it.
-        psnr, ssim: means by model.
-    """
-
-    track_id: str
-    images: int
-    psnr: dict[str, float]
-    ssim: dict[str, float]
-    provenance: dict[str, Any]
-
-
-def evaluate_tracks(
-    log: DrivingLog,
-    scene: StreetScene,
-    config: SceneConfig,
-    tracks: Sequence[str],
-    makers: ActorMakers,
-    out: Path,
-    seed: int = 0,
-    progress: StageProgress | None = None,
-) -> list[TrackResult]:
-    """Make and refine the actor of every track, and compare it with held-out images.
-
-    Writes `metrics.json`, and for every track a folder with its actor and `held_out.png` (each row
-    an image: recording, reconstructed, registered, refined) to `out`, whole or not at all.
-
-    Args:
-        scene: scene that was reconstructed from the log, with models of the tracks.
-        config: settings of the scene's training.
-        progress: function that is told the stage, the pieces done, and all pieces of the stage.
-
-    Raises:
-        InputError: no track named, one that the scene has no model of or no held-out image shows;
-            see `make_actor`.
-    """
-    if not tracks:
-        raise InputError(
-            "`track`", "tracks", "none is given", "give a track; `recast log info` lists them"
-        )
-    for track_id in tracks:
-        require_model(scene, track_id)
-    results = []
-    with atomic_folder(out) as folder:
-        for number, track_id in enumerate(tracks):
-            place = folder / f"track_{number}"
-            place.mkdir()
-            make_actor(log, track_id, makers, seed, place, config, progress=progress)
-            refined = refine_actor(place, scene, seed, place / "refined", progress)
-            models = {
-                "reconstructed": scene,
-                "registered": insert(scene, load_actor(place / ACTOR_FOLDER)),
-                "refined": insert(scene, refined),
-            }
-            views = list(held_out_track(log, track_id, config, models))
-            if not views:
-                raise InputError(
-                    log.name,
-                    f"track {track_id}",
-                    "is not in any held-out image",
-                    "choose another track",
-                )
-            PilImage.fromarray(_track_sheet(views)).save(place / "held_out.png", format="PNG")
-            results.append(_of_track(track_id, views, refined))
-        write_json(
-            folder / METRICS_FILE,
-            rounded({"version": 1, "seed": seed, "tracks": [vars(one) for one in results]}),
-        )
-    return results
-
-
-def tracks_table(results: Sequence[TrackResult]) -> Table:
-    """PSNR and SSIM of every track by model; 80 columns wide."""
-    table = Table(
-        title="held-out images, in the vehicle's box: PSNR dB, SSIM",
-        title_justify="left",
-        box=SIMPLE_HEAD,
-        pad_edge=False,
-    )
-    for heading in ("track", "images", "made by", *MODELS):
-        table.add_column(heading)
-    for one in results:
-        chosen = [c for c in one.provenance["candidates"] if c["chosen"]]
-        made_by = chosen[0]["label"] if chosen else one.provenance["generator"]
-        cells = [f"{one.psnr[model]:.2f} {one.ssim[model]:.3f}" for model in MODELS]
-        table.add_row(one.track_id, str(one.images), made_by, *cells)
-    return table
-
-
-def _of_track(track_id: str, views: Sequence[TrackView], actor: Actor) -> TrackResult:
-    return TrackResult(
-        track_id=track_id,
-        images=len(views),
-        psnr={model: float(np.mean([v.psnr[model] for v in views])) for model in MODELS},
-        ssim={model: float(np.mean([v.ssim[model] for v in views])) for model in MODELS},
-        provenance=actor.provenance.model_dump(mode="json"),
-    )
-
-
-def _track_sheet(views: Sequence[TrackView]) -> NDArray[np.uint8]:
-    """Pictures of a few images, one below the other, of one width."""
-    some = np.unique(np.linspace(0, len(views) - 1, _SHOWN).round().astype(int))
-    return np.concatenate([at_width(views[index].picture, _TILE_WIDTH) for index in some], axis=0)

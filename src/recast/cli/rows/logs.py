@@ -99,6 +99,7 @@ def _track(track: TrackInfo) -> dict[str, object]:
         "frames_left": seen.left,
         "frames_rear": seen.rear,
         "frames_right": seen.right,
+        "view_span_deg": seen.span,
         "crop_width_px": seen.crop[0],
         "crop_height_px": seen.crop[1],
     }

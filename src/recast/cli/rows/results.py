@@ -23,7 +23,8 @@ from recast.runs.run_folder import METRICS_FILE
 from recast.runs.scores import read_metrics
 from recast.studies.closed_loop import GridResults
 from recast.studies.generation.report import STUDY_COLUMNS, StudyBlock
-from recast.studies.photographs import PHOTOGRAPH_COLUMNS, PhotographEvaluation, TrackResult
+from recast.studies.logged_vehicles import HiddenResult, TrackResult
+from recast.studies.photographs import PHOTOGRAPH_COLUMNS, PhotographEvaluation
 from recast.studies.planner_driving import PlannerDriving
 from recast.studies.verdicts import PartLoss, VerdictCounts
 from recast.trellis.checkpoints import ModelCheck
@@ -259,6 +260,23 @@ def photograph_rows(evaluation: PhotographEvaluation) -> Rows:
             for name, why in one.failures.items()
         ]
     return {"vehicles": vehicles, "mean": means, "failures": failures}
+
+
+def hidden_rows(results: Sequence[HiddenResult]) -> Rows:
+    """Scores of the hidden images of each track by model."""
+    rows = [
+        {
+            "track": one.track_id,
+            "degrees": one.degrees,
+            "model": model,
+            "images_kept": one.kept,
+            "images_hidden": one.hidden,
+            **{("psnr_db" if key == "psnr" else key): value for key, value in scores.items()},
+        }
+        for one in results
+        for model, scores in one.scores.items()
+    ]
+    return {"hidden": rows}
 
 
 def agreement_rows(found: PlanAgreement) -> Rows:
