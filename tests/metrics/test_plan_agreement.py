@@ -124,6 +124,9 @@ def test_moments_without_all_images_are_left_out() -> None:
     nothing = RecordedDrive(replace(whole, cameras={"cam": late}), planner)
     with pytest.raises(InputError, match="no moment has"):
         plan_agreement(planner, nothing, {"x": Shows(nothing, brighter)})
+    none = replace(stream, timestamps_us=TIMES[:0], images=Some())
+    with pytest.raises(InputError, match="the log has none, but the planner uses images"):
+        RecordedDrive(replace(whole, cameras={"cam": none}), planner)
     blind = RecordedDrive(whole, ConstantVelocity())
     with pytest.raises(InputError, match="looks at no images"):
         plan_agreement(ConstantVelocity(), blind, {"x": Shows(drive, brighter)})

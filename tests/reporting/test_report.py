@@ -10,6 +10,12 @@ import pytest
 from PIL import Image
 
 from recast.core.errors import InputError
+from recast.metrics.plan_agreement import (
+    AgreementMoment,
+    PlanAgreement,
+    PlanDifference,
+    write_agreement,
+)
 from recast.reporting import (
     ActorPart,
     Comparison,
@@ -179,6 +185,41 @@ def test_an_unknown_method_is_refused_before_anything_is_written(tmp_path: Path)
     with pytest.raises(ValueError, match=r"rollouts\[0\]\.arm: 'other'"):
         write_report(run, tmp_path / "report")
     assert not (tmp_path / "report").exists()
+
+
+def test_plans_against_the_recording(tmp_path: Path) -> None:
+    apart = {"native": 0.4, "replaced": 2.5, "one pixel": 0.3}
+    moments = tuple(
+        AgreementMoment(
+            time_us,
+            8.0,
+            "free",
+            time_us == 600_000,
+            False,
+            {"native": 28.0, "replaced": 27.5},
+            {k: PlanDifference(fde / 2, fde, fde > 2) for k, fde in apart.items()},
+        )
+        for time_us in (100_000, 600_000)
+    )
+    found = PlanAgreement("gtrs-<mini>", "drive", ("native", "replaced"), moments, left_out=1)
+    image = np.full((40, 60, 3), 90, np.uint8)
+    pictures = {
+        one.timestamp_us: {"recorded": image, "native": image, "replaced": image} for one in moments
+    }
+    write_agreement(found, pictures, tmp_path / "plans")
+    run = ReportInputs("t", "l", {"native": "n"}, recording=(tmp_path / "plans",))
+    page = Page(write_report(run, tmp_path / "out"))
+    assert "Against the recording" in page.text
+    assert (
+        "the plans of gtrs-<mini> on rendered images end more than 2 m from those on the recorded "
+        "ones in: 0% native, 100% replaced. A shift of the recorded images by one pixel moves 0%. "
+        "1 moments without all images were left out."
+    ) in page.text
+    assert "native, held out" in page.text and "0.5 s, 8.0 m/s, free: native 0.4 m" in page.text
+    shown = [a["src"] or "" for tag, a in page.tags if tag == "img"]
+    assert len(shown) == 6
+    without = Page(write_report(ReportInputs("t", "l", {"native": "n"}), tmp_path / "b"))
+    assert "Against the recording" not in without.text
 
 
 def test_files_are_copied_as_they_are(tmp_path: Path) -> None:

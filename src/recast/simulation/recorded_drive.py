@@ -71,7 +71,7 @@ class RecordedDrive:
         self.route = ReferenceRoute.from_trajectory(log.world_from_rig)
         mounts: dict[str, CameraMount] = {}
         if planner.needs_images:
-            if not log.cameras:
+            if not any(len(stream.timestamps_us) for stream in log.cameras.values()):
                 problem = "the log has none, but the planner uses images"
                 raise InputError(log.name, "cameras", problem, "import a log with images")
             own = camera_mounts(log, cameras or None, scale)
@@ -79,7 +79,11 @@ class RecordedDrive:
         self.names = planner_cameras(planner, mounts)
         windows = looked_at(planner, mounts) if mounts else {}
         self.mounts = {name: windows[name] for name in self.names}
-        streams = {key: log.cameras[key] for key in cameras or log.cameras}
+        streams = {
+            key: log.cameras[key]
+            for key in cameras or log.cameras
+            if len(log.cameras[key].timestamps_us)
+        }
         self._sources = {
             name: list(_sources(streams, mount, name)) for name, mount in self.mounts.items()
         }
@@ -103,7 +107,8 @@ class RecordedDrive:
         first, last = first + round(_DT * 1e6), last - round(WAYPOINTS * _DT * 1e6)
         there = np.arange(first, last + 1, round(every * 1e6))
         if self.names:
-            there = self._sources[self.names[0]][0].stream.timestamps_us
+            sources = self._sources[self.names[0]]
+            there = sources[0].stream.timestamps_us if sources else there[:0]
         chosen: list[int] = []
         for time in there[(there >= first) & (there <= last)]:
             if not chosen or time - chosen[-1] >= every * 1e6 - 1e3:
@@ -156,9 +161,10 @@ class RecordedDrive:
     def frame(self, name: str, time_us: int) -> tuple[str, int] | None:
         """The log's camera, and its frame, that shows most of a camera's image at a time; None
         where it has no image within 0.06 s."""
-        stream = self._sources[name][0].stream
-        nearest = _nearest(stream, time_us)
-        return None if nearest is None else (stream.name, nearest)
+        for source in self._sources[name][:1]:
+            nearest = _nearest(source.stream, time_us)
+            return None if nearest is None else (source.stream.name, nearest)
+        return None
 
     def rendered(self, renderer: SensorRenderer, time_us: int) -> dict[str, Image]:
         """What a renderer of `mounts` shows in place of `images`.
