@@ -271,7 +271,7 @@ def plan_agreement(
         for index, time_us in enumerate(whole):
             spool.keep(RECORDED, index, drive.images(time_us))
             for arm, renderer in renderers.items():
-                spool.keep(arm, index, drive.rendered(renderer, time_us))
+                spool.keep(f"{arm} shows", index, drive.rendered(renderer, time_us))
             for arm, renderer in (masks or {}).items():
                 spool.keep(f"{arm} mask", index, drive.rendered(renderer, time_us))
             if progress is not None:
@@ -294,9 +294,11 @@ class _Spool:
 
     def __init__(self, folder: Path) -> None:
         self._folder = folder
+        self._kinds: dict[str, int] = {}
 
     def keep(self, kind: str, index: int, images: Images) -> None:
         self._names = sorted(images)
+        self._kinds.setdefault(kind, len(self._kinds))
         for number, name in enumerate(self._names):
             np.save(self._path(kind, index, number), images[name])
 
@@ -305,7 +307,7 @@ class _Spool:
         return {name: np.load(self._path(kind, index, number)) for number, name in found}
 
     def _path(self, kind: str, index: int, number: int) -> Path:
-        return self._folder / f"{kind.encode().hex()}-{index}-{number}.npy"
+        return self._folder / f"{self._kinds[kind]}-{index}-{number}.npy"
 
 
 def _compared(
@@ -320,13 +322,13 @@ def _compared(
     detector: Detector | None,
 ) -> tuple[PlanAgreement, Pictures]:
     def taken(arm: str) -> Callable[[int, int], Images]:
-        return lambda index, _: spool.take(arm, index)
+        return lambda index, _: spool.take(f"{arm} shows", index)
 
     def changed(name: str) -> Callable[[int, int], Images]:
         return lambda index, _: disturbed(name, spool.take(RECORDED, index), index)
 
     def mixture(arm: str, part: str) -> Callable[[int, int], Images]:
-        kinds = (RECORDED, arm, f"{arm} mask")
+        kinds = (RECORDED, f"{arm} shows", f"{arm} mask")
         return lambda index, _: mixed(part, *(spool.take(kind, index) for kind in kinds))
 
     kinds = {arm: taken(arm) for arm in arms}
@@ -334,7 +336,7 @@ def _compared(
     if parts:
         kinds[DENOISED] = lambda index, _: without_noise(spool.take(RECORDED, index))
         kinds |= {f"{arm}: {part}": mixture(arm, part) for arm in arms for part in PARTS}
-    seen = list(drive.plans(planner, times, taken(RECORDED)))
+    seen = list(drive.plans(planner, times, lambda index, _: spool.take(RECORDED, index)))
     others = {
         name: [plan for _, plan in drive.plans(planner, times, images)]
         for name, images in kinds.items()
@@ -344,7 +346,7 @@ def _compared(
         driven, recorded = drive.driven(time_us), spool.take(RECORDED, index)
         shown = drive.shown(time_us)
         kept = [held_out(*frame) for n in drive.names if (frame := drive.frame(n, time_us))]
-        rendered = {arm: spool.take(arm, index) for arm in arms}
+        rendered = {arm: spool.take(f"{arm} shows", index) for arm in arms}
         moments.append(
             AgreementMoment(
                 time_us,
@@ -369,7 +371,9 @@ def _compared(
         }
         for arm in arms:
             paths = {_ON_RECORDED: plan, _ON_RENDERED: others[arm][index]}
-            pictures[one.timestamp_us][arm] = draw_paths(drive, spool.take(arm, index), paths)
+            pictures[one.timestamp_us][arm] = draw_paths(
+                drive, spool.take(f"{arm} shows", index), paths
+            )
     return found, pictures
 
 

@@ -267,7 +267,7 @@ def depth_facts(evaluation: Mapping[str, Any]) -> tuple[Fact, ...]:
 
 def agreement_cells(found: PlanAgreement) -> tuple[list[str], list[list[str]]]:
     """Headings and rows of a plan agreement."""
-    names = ["images", "n", "PSNR dB", "ADE m", "FDE m", "moved %", "other %"]
+    names = ["images", "n", "PSNR", "ADE m", "FDE m", "moved %", "other %"]
     detects = bool(found.moments[0].boxes)
     names += ["boxes %"] if detects else []
     rows = []

@@ -87,6 +87,7 @@ class RecordedDrive:
         self._sources = {
             name: list(_sources(streams, mount, name)) for name, mount in self.mounts.items()
         }
+        self._latest: tuple[int, dict[str, Image], dict[str, BoolArray]] | None = None
         self.context = PlanningContext(
             route=self.route,
             log=log.world_from_rig,
@@ -144,19 +145,22 @@ class RecordedDrive:
 
     def images(self, time_us: int) -> dict[str, Image]:
         """The recorded images as the planner's cameras show them; black where none looked."""
-        return {
-            name: self.mounts[name].masked(_warped(self.mounts[name], sources, time_us)[0])
-            for name, sources in self._sources.items()
-        }
+        return dict(self._recorded(time_us)[0])
 
     def shown(self, time_us: int) -> dict[str, BoolArray]:
         """The pixels (H, W) of `images` that a recorded image shows."""
-        found = {}
-        for name, sources in self._sources.items():
-            filled = _warped(self.mounts[name], sources, time_us)[1]
-            levels = np.repeat(filled[..., None].astype(np.uint8), 3, axis=-1)
-            found[name] = self.mounts[name].masked(levels)[..., 0] > 0
-        return found
+        return dict(self._recorded(time_us)[1])
+
+    def _recorded(self, time_us: int) -> tuple[dict[str, Image], dict[str, BoolArray]]:
+        if self._latest is None or self._latest[0] != time_us:
+            images, shown = {}, {}
+            for name, sources in self._sources.items():
+                image, filled = _warped(self.mounts[name], sources, time_us)
+                levels = np.repeat(filled[..., None].astype(np.uint8), 3, axis=-1)
+                images[name] = self.mounts[name].masked(image)
+                shown[name] = self.mounts[name].masked(levels)[..., 0] > 0
+            self._latest = time_us, images, shown  # several renderers ask for one moment
+        return self._latest[1], self._latest[2]
 
     def frame(self, name: str, time_us: int) -> tuple[str, int] | None:
         """The log's camera, and its frame, that shows most of a camera's image at a time; None

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from collections.abc import Set as AbstractSet
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -153,9 +153,10 @@ def evaluate_hidden(
 
     Hidden are the images more than an angle from all that are kept (`split_sides`), from the
     street's training (the box, grown by a quarter, in each image that is not kept), from the choice
-    of the view, registration and refinement alike. LiDAR points stay. Writes `metrics.json`, and
-    for every track a folder with its street, its actors and `hidden.png` (each row an image:
-    recording, then `HIDDEN_MODELS`) to `out`, whole or not at all.
+    of the view, registration and refinement alike. LiDAR points stay, and the models
+    stand where `scene` has learned that the track stood. Writes `metrics.json`, and for every track
+    a folder with its street, its actors and `hidden.png` (each row an image: recording, then
+    `HIDDEN_MODELS`) to `out`, whole or not at all.
 
     Args:
         scene: street that was reconstructed from all images, with models of the tracks.
@@ -182,9 +183,13 @@ def evaluate_hidden(
             ).scene
 
             made = partial(_made, log, track_id, config, makers, seed, place, progress)
+            half = made("one_side", blind, {one.key for one in unseen})
+            # Where it stood at the hidden times, no image could correct: looks are asked for here.
+            posed = replace(blind.actors[track_id], trajectory=scene.actors[track_id].trajectory)
+            blind = replace(blind, actors={**blind.actors, track_id: posed})
             models = {
                 "reconstructed": blind,
-                "replaced": insert(blind, made("one_side", blind, {one.key for one in unseen})),
+                "replaced": insert(blind, replace(half, trajectory=None)),
                 "all images: reconstructed": scene,
                 "all images: replaced": insert(scene, made("all_images", scene, set())),
             }
@@ -254,7 +259,7 @@ def hidden_table(results: Sequence[HiddenResult]) -> Table:
     for key in keys:
         table.add_column(names[key], justify="right")
     for one in results:
-        table.add_row(f"track {one.track_id}", f"{one.hidden} of {one.kept} + {one.hidden}")
+        table.add_row(f"track {one.track_id}", f"{one.kept} kept, {one.hidden} hidden")
         for model, scores in one.scores.items():
             digits = [f"{scores[key]:.{2 if key == 'psnr' else 3}f}" for key in keys]
             table.add_row(f"  {model}", "", *digits, end_section=model == HIDDEN_MODELS[-1])
