@@ -154,6 +154,10 @@ def test_plans_on_a_street_that_shows_little(
     assert "looks at no images" in capsys.readouterr().err
     assert main([*given, "--every", "0", "--out", str(tmp_path / "x")]) == 2
     assert main([*given, "--detector", "nothing", "--out", str(tmp_path / "x")]) == 2
+    (street / "scene" / "source.json").write_text('{"log_name": "another"}')
+    assert main([*given, "--out", str(tmp_path / "x")]) == 2
+    assert "was trained on another, and the log is straight" in capsys.readouterr().err
+    (street / "scene" / "source.json").unlink()
     assert not (tmp_path / "x").exists()
 
 

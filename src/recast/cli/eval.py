@@ -131,7 +131,7 @@ class EvalActor:
         from recast.core.errors import require_range
         from recast.logs import read_log
         from recast.metrics.perceptual import load_distances
-        from recast.reconstruction import read_training_config
+        from recast.reconstruction import read_training_config, require_log_of
         from recast.runs.actor import ActorMakers
         from recast.runs.display import SamplingProgress
         from recast.scene import load_scene
@@ -143,6 +143,7 @@ class EvalActor:
         distances = load_distances(located("--lpips-weights", self.lpips_weights), None, None)
         makers = ActorMakers.named(self.model, self.segmenter, self.axes)
         given = read_log(self.log), load_scene(self.scene), read_training_config(self.scene)
+        require_log_of(self.scene, given[0])
         console = console_for(self.json)
         with SamplingProgress(console) as progress:
             if self.hide is None:
@@ -247,17 +248,23 @@ class EvalPlans:
         from recast.core.plugins import DETECTORS
         from recast.logs import read_log
         from recast.planning import make_planner
-        from recast.reconstruction.train import CONFIG_FILE, read_training_config
+        from recast.reconstruction.train import (
+            CONFIG_FILE,
+            read_training_config,
+            require_log_of,
+        )
         from recast.scene import load_scene
         from recast.studies.planner_driving import agreement_table, evaluate_plans
 
         require_range(0.1, every=self.every)
         console = console_for(self.json)
         trained = (self.scene / CONFIG_FILE).is_file()  # an imported scene was not
+        log = read_log(self.log)
+        require_log_of(self.scene, log)
         with ProgressBar("moments", console) as progress:
             found = evaluate_plans(
                 make_planner(self.planner, self.planner_device or "auto"),
-                read_log(self.log),
+                log,
                 load_scene(self.scene),
                 [load_actor(folder) for folder in self.actor],
                 self.out,

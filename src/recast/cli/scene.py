@@ -203,7 +203,7 @@ class Make:
         from recast.core.files import atomic_folder
         from recast.logs import read_log
         from recast.reconstruction.config import SceneConfig
-        from recast.reconstruction.train import read_training_config
+        from recast.reconstruction.train import read_training_config, require_log_of
         from recast.runs.actor import ActorMakers, film_turntable, make_actor, refine_actor
         from recast.runs.arms import MOST_VIEWS
         from recast.runs.display import SamplingProgress, print_actor
@@ -216,6 +216,8 @@ class Make:
             makers = ActorMakers.named(self.generator, self.segmenter, self.axes)
             log = read_log(self.log)
             scene = None if self.scene is None else load_scene(self.scene)
+            if self.scene is not None:
+                require_log_of(self.scene, log)
             config = SceneConfig() if self.scene is None else read_training_config(self.scene)
             if self.cameras:
                 config = config.model_copy(update={"cameras": self.cameras})

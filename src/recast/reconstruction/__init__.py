@@ -22,6 +22,7 @@ from recast.reconstruction.train import (
     TrainingStatus,
     TrainResult,
     read_training_config,
+    require_log_of,
     train_scene,
 )
 
@@ -42,6 +43,7 @@ __all__ = [
     "psnr",
     "read_config",
     "read_training_config",
+    "require_log_of",
     "resolve_config",
     "ssim",
     "train_scene",

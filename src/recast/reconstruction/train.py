@@ -291,6 +291,22 @@ def read_training_config(folder: str | Path) -> SceneConfig:
     return parse_config(path, read_json(path))
 
 
+def require_log_of(folder: str | Path, log: DrivingLog) -> None:
+    """Refuse a scene folder that was trained on a log of another name; an imported one does not
+    say what it was trained on.
+
+    Raises:
+        InputError: it was.
+    """
+    path = Path(folder) / SOURCE_FILE
+    if path.is_file():
+        source = read_json(path)
+        name = source.get("log_name") if isinstance(source, dict) else None
+        if name != log.name:
+            problem = f"was trained on {name}, and the log is {log.name}"
+            raise InputError(folder, "scene", problem, "name a scene of this log")
+
+
 def _check_same(folder: Path, source: TrainingSource, config: SceneConfig) -> None:
     mend = "name another folder or remove this one"
     found = read_training_config(folder)

@@ -40,6 +40,7 @@ from recast.reconstruction import (
     TrainingStatus,
     evaluate_scene,
     read_training_config,
+    require_log_of,
 )
 from recast.scene import load_scene
 from recast.scene.exchange import IMPORT_FILE
@@ -257,6 +258,7 @@ def evaluate_and_print(
     distances = load_distances(lpips=lpips)
     imported = (Path(scene) / IMPORT_FILE).is_file()
     config = SceneConfig() if imported else read_training_config(scene)
+    require_log_of(scene, log)
     loaded = load_scene(scene)
     with ExitStack() as stack:
         truth = None

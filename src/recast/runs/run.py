@@ -18,7 +18,7 @@ from recast.core.workers import use_threads
 from recast.metrics import RolloutMetrics, rollout_metrics
 from recast.metrics.table import over_common_steps
 from recast.planning import GTRS_MINI, make_planner
-from recast.reconstruction import SceneConfig
+from recast.reconstruction import SceneConfig, require_log_of
 from recast.runs.arms import Arm, default_arms
 from recast.runs.artefacts import Artefacts
 from recast.runs.config import RunConfig
@@ -69,6 +69,8 @@ def run(
     source = SourceLog.open(log_path)
     # What cannot work is refused before anything is written and before minutes of training.
     require_track(source.log, source.path, config.track)
+    if config.scene_folder is not None:
+        require_log_of(config.scene_folder, source.log)
     if any(arm.needs_world for arm in config.arms):
         _ = source.world
     sources = Sources.of(config, source.log.name)
