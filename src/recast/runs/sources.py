@@ -39,8 +39,8 @@ RECIPES = {
     "rollout": 8,
     "plans": 1,
     "scene-level": 3,
-    "metrics": 9,
-    "report": 10,
+    "metrics": 10,
+    "report": 11,
 }
 """Version of what recast's own code makes of the inputs of a step.
 
