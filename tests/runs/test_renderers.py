@@ -13,7 +13,8 @@ from recast.runs.arms import Arm, parse_arms
 from recast.runs.artefacts import Artefacts
 from recast.runs.rollouts import Renderers
 from recast.simulation import SimState
-from recast.simulation.oracle_renderer import OracleRenderer, jittered
+from recast.simulation.oracle_renderer import OracleRenderer
+from recast.simulation.renderer import jittered
 from recast.simulation.scene_renderer import SceneRenderer
 from recast.synthetic.world import World, make_rig
 from support.oracle_states import at_camera, ball, state_of, street

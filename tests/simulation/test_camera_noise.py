@@ -11,7 +11,8 @@ import pytest
 from recast.arrays import Image
 from recast.cameras import CameraMount, PinholeCamera
 from recast.simulation import NullRenderer, SimState
-from recast.simulation.oracle_renderer import ImageNoise, NoisyRenderer, grey_noise, jittered
+from recast.simulation.oracle_renderer import ImageNoise, NoisyRenderer, grey_noise
+from recast.simulation.renderer import jittered
 
 CAMERA = PinholeCamera(40, 30, 40.0, 40.0, 20.0, 15.0)
 MOUNTS = {name: CameraMount(CAMERA, np.eye(4)) for name in ("front", "left")}

@@ -245,8 +245,7 @@ def plan_agreement(
 
     Args:
         renderers: by arm, renderers of the mounts of `drive`.
-        masks: by arm, what draws the vehicle white and the street black, see `mask_renderer`: then
-            the parts are measured, too.
+        masks: by arm, the renderers of `mask_renderer`: then the parts are measured, too.
         every: seconds between the moments.
         held_out: function of a log camera and its frame that says whether training held it out.
         detector: detector whose boxes on both images are compared.
@@ -267,11 +266,14 @@ def plan_agreement(
         problem = "at no moment has each camera of the planner an image"
         raise InputError(drive.log.name, "cameras", problem, "check the images' timestamps")
     with TemporaryDirectory() as folder:
-        spool = _Spool(Path(folder))
+        spool, psnr = _Spool(Path(folder)), []
         for index, time_us in enumerate(whole):
-            spool.keep(RECORDED, index, drive.images(time_us))
-            for arm, renderer in renderers.items():
-                spool.keep(f"{arm} shows", index, drive.rendered(renderer, time_us))
+            recorded, shown = drive.images(time_us), drive.shown(time_us)
+            spool.keep(RECORDED, index, recorded)
+            rendered = {arm: drive.rendered(one, time_us) for arm, one in renderers.items()}
+            psnr.append({arm: _psnr(recorded, images, shown) for arm, images in rendered.items()})
+            for arm, images in rendered.items():
+                spool.keep(f"{arm} shows", index, images)
             for arm, renderer in (masks or {}).items():
                 spool.keep(f"{arm} mask", index, drive.rendered(renderer, time_us))
             if progress is not None:
@@ -281,6 +283,7 @@ def plan_agreement(
             drive,
             whole,
             spool,
+            psnr,
             list(renderers),
             masks is not None,
             len(times) - len(whole),
@@ -315,6 +318,7 @@ def _compared(
     drive: RecordedDrive,
     times: Sequence[int],
     spool: _Spool,
+    psnr: Sequence[Mapping[str, float]],
     arms: Sequence[str],
     parts: bool,
     left_out: int,
@@ -344,9 +348,7 @@ def _compared(
     moments = []
     for index, (time_us, (observed, plan)) in enumerate(zip(times, seen, strict=True)):
         driven, recorded = drive.driven(time_us), spool.take(RECORDED, index)
-        shown = drive.shown(time_us)
         kept = [held_out(*frame) for n in drive.names if (frame := drive.frame(n, time_us))]
-        rendered = {arm: spool.take(f"{arm} shows", index) for arm in arms}
         moments.append(
             AgreementMoment(
                 time_us,
@@ -354,11 +356,11 @@ def _compared(
                 what_is_ahead(observed, drive.route),
                 None if None in kept else all(kept),
                 stops(plan),
-                {arm: _psnr(recorded, images, shown) for arm, images in rendered.items()},
+                psnr[index],
                 {k: _difference(plan, v[index], driven) for k, v in others.items()},
                 {}
                 if detector is None
-                else {arm: _boxes(detector, recorded, images) for arm, images in rendered.items()},
+                else {a: _boxes(detector, recorded, spool.take(f"{a} shows", index)) for a in arms},
             )
         )
     found = PlanAgreement(planner.name, drive.log.name, tuple(arms), tuple(moments), left_out)
@@ -471,8 +473,8 @@ def mixed(part: str, recorded: Images, rendered: Images, masks: Images) -> dict[
     """Mixtures of two images.
 
     Args:
-        part: one of `PARTS`: of the rendering the vehicle alone, in the recorded image; or the
-            rendering with the recorded vehicle, sky, mean and contrast of each colour, or spectrum:
+        part: one of `PARTS`: the recorded image with the rendered vehicle alone; or the
+            rendered image with the recorded vehicle, sky, mean and contrast of each colour, or spectrum:
             the mean power of its luminance at each spatial frequency. The vehicle is what its mask
             shows, grown by 2 pixels.
         masks: what `mask_renderer` draws.

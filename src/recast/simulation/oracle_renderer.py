@@ -15,7 +15,7 @@ from recast.core.workers import Closing
 from recast.geometry import se3
 from recast.geometry.colour import linear_to_srgb, srgb_to_linear
 from recast.scene.street_scene import SceneRasterizer, StreetScene
-from recast.simulation.renderer import MountedRenderer, RendererAround, SensorRenderer
+from recast.simulation.renderer import MountedRenderer, RendererAround, SensorRenderer, jittered
 from recast.simulation.rollout import SimState
 from recast.simulation.scene_renderer import SceneRenderer
 from recast.splats import RasterImages
@@ -366,7 +366,7 @@ class NoisyRenderer(RendererAround):
 
     Args:
         noise: "grey" (see `grey_noise`; another draw for each camera and step) or "jitter" (see
-            `jittered`).
+            `recast.simulation.renderer.jittered`).
         seed: seed of the draws.
     """
 
@@ -400,8 +400,3 @@ def grey_noise(image: Image, rng: np.random.Generator) -> Image:
     """
     step = 2 * rng.integers(0, 2, (*image.shape[:2], 1), np.int16) - 1
     return np.clip(image.astype(np.int16) + step, 0, 255).astype(np.uint8)
-
-
-def jittered(image: Image) -> Image:
-    """The image (H, W, 3) one pixel to the right, its left edge repeated."""
-    return np.concatenate([image[:, :1], image[:, :-1]], axis=1)

@@ -28,7 +28,7 @@ from recast.planning import (
 )
 from recast.simulation.history import logged_past, logged_road_users
 from recast.simulation.planner_calls import calling
-from recast.simulation.renderer import SensorRenderer, camera_mounts
+from recast.simulation.renderer import SensorRenderer, camera_mounts, jittered
 from recast.simulation.rollout import SimActor, SimState
 
 Ahead = Literal["free", "leading", "standing", "oncoming", "crossing"]
@@ -326,10 +326,7 @@ def disturbed(name: str, images: Images, index: int) -> dict[str, Image]:
         assert done
         return np.asarray(cv2.imdecode(data, cv2.IMREAD_COLOR), np.uint8)[..., ::-1]
 
-    def shifted(image: Image) -> Image:
-        return np.concatenate([image[:, :1], image[:, :-1]], axis=1)
-
-    changes = dict(zip(DISTURBANCES, (shifted, grey, compressed), strict=True))
+    changes = dict(zip(DISTURBANCES, (jittered, grey, compressed), strict=True))
     return {key: np.ascontiguousarray(changes[name](one)) for key, one in images.items()}
 
 

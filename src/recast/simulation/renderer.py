@@ -125,6 +125,11 @@ class NullRenderer(MountedRenderer):
         return {n: np.zeros((c.height, c.width, 3), np.uint8) for n, c in cameras.items()}
 
 
+def jittered(image: Image) -> Image:
+    """The image (H, W, 3) one pixel to the right, its left edge repeated."""
+    return np.concatenate([image[:, :1], image[:, :-1]], axis=1)
+
+
 _MEND = "return one image of the same size for each name, uint8 RGB"
 
 

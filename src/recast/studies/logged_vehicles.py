@@ -84,12 +84,7 @@ def evaluate_tracks(
         InputError: no track named, one that the scene has no model of or no held-out image shows;
             see `make_actor`.
     """
-    if not tracks:
-        raise InputError(
-            "`track`", "tracks", "none is given", "give a track; `recast log info` lists them"
-        )
-    for track_id in tracks:
-        require_model(scene, track_id)
+    _require_models(scene, tracks)
     results = []
     with atomic_folder(out) as folder:
         for number, track_id in enumerate(tracks):
@@ -167,11 +162,7 @@ def evaluate_hidden(
     Raises:
         InputError: see `split_sides` and `evaluate_tracks`; no hidden image has a mask.
     """
-    if not tracks:
-        problem = "none is given"
-        raise InputError("`track`", "tracks", problem, "give one; `recast log info` lists them")
-    for track_id in tracks:
-        require_model(scene, track_id)
+    _require_models(scene, tracks)
     sides = {track_id: split_sides(log, track_id, config, degrees) for track_id in tracks}
     results = []
     with atomic_folder(out) as folder:
@@ -199,6 +190,15 @@ def evaluate_hidden(
         found = [vars(one) for one in results]
         write_json(folder / METRICS_FILE, rounded({"version": 1, "seed": seed, "hidden": found}))
     return results
+
+
+def _require_models(scene: StreetScene, tracks: Sequence[str]) -> None:
+    if not tracks:
+        raise InputError(
+            "`track`", "tracks", "none is given", "give a track; `recast log info` lists them"
+        )
+    for track_id in tracks:
+        require_model(scene, track_id)
 
 
 def _made(

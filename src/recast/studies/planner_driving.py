@@ -27,6 +27,8 @@ from recast.dynamics import PACIFICA, VehicleParameters
 from recast.dynamics import state as ego
 from recast.logs import DrivingLog
 from recast.metrics.plan_agreement import (
+    MOVED,
+    WORST,
     Detector,
     PlanAgreement,
     mask_renderer,
@@ -55,9 +57,7 @@ from recast.simulation.recorded_drive import (
 )
 
 METRICS_FILE = "metrics.json"
-_MOVED = 2.0  # metres at 4 s by which a plan counts as another one
 _SPEEDS = (3.0, 8.0)  # m/s between slow, town and fast
-_WORST = 10
 
 
 @dataclass(frozen=True)
@@ -163,7 +163,7 @@ def _scores(kind: str, moments: Sequence[PlanMoment]) -> DrivingScores:
         share([not one.stops for one in moments if one.driver_stops]),
         float(np.mean([one.leaves for one in moments])),
         {
-            name: float(np.mean([one.moved[name] > _MOVED for one in moments]))
+            name: float(np.mean([one.moved[name] > MOVED for one in moments]))
             for name in moments[0].moved
         },
     )
@@ -204,7 +204,7 @@ def evaluate_planner(
                 moments.append(moment)
                 if picture is not None:
                     worst = sorted([*worst, (moment, picture)], key=lambda one: -one[0].fde)
-                    worst = worst[:_WORST]
+                    worst = worst[:WORST]
             if progress is not None:
                 progress(index + 1, len(logs))
         found = PlannerDriving(planner.name, tuple(moments))
@@ -277,15 +277,8 @@ _DRIVEN, _PLAN = (44, 160, 44), (214, 39, 40)  # green and red
 
 def driving_table(found: PlannerDriving) -> Table:
     """For the terminal."""
-    table = Table(
-        title=f"{found.planner} on recorded images", title_justify="left", box=SIMPLE_HEAD
-    )
-    names, rows = driving_cells(found)
-    for index, name in enumerate(names):
-        table.add_column(name, justify="right" if index else "left")
-    for row in rows:
-        table.add_row(*row, end_section=row[0] in ("all", "crossing"))
-    return table
+    title = f"{found.planner} on recorded images"
+    return _table(title, *driving_cells(found), ends=("all", "crossing"))
 
 
 def driving_cells(found: PlannerDriving) -> tuple[list[str], list[list[str]]]:
@@ -364,10 +357,20 @@ def evaluate_plans(
 def agreement_table(found: PlanAgreement) -> Table:
     """For the terminal."""
     title = f"{found.planner} on rendered images of {found.log}, against the recorded ones"
+    return _table(title, *agreement_cells(found), unbroken=True)
+
+
+def _table(
+    title: str,
+    names: Sequence[str],
+    rows: Sequence[Sequence[str]],
+    ends: Sequence[str] = (),
+    unbroken: bool = False,
+) -> Table:
+    """Rows of figures behind a name, unbroken or not; a line below those called as in `ends`."""
     table = Table(title=title, title_justify="left", box=SIMPLE_HEAD)
-    names, rows = agreement_cells(found)
     for index, name in enumerate(names):
-        table.add_column(name, justify="right" if index else "left", no_wrap=not index)
+        table.add_column(name, justify="right" if index else "left", no_wrap=unbroken and not index)
     for row in rows:
-        table.add_row(*row)
+        table.add_row(*row, end_section=row[0] in ends)
     return table
