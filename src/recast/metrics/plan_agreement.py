@@ -474,9 +474,9 @@ def mixed(part: str, recorded: Images, rendered: Images, masks: Images) -> dict[
 
     Args:
         part: one of `PARTS`: the recorded image with the rendered vehicle alone; or the
-            rendered image with the recorded vehicle, sky, mean and contrast of each colour, or spectrum:
-            the mean power of its luminance at each spatial frequency. The vehicle is what its mask
-            shows, grown by 2 pixels.
+            rendered image with the recorded vehicle, sky, mean and contrast of each colour, or
+            spectrum: the mean power of its luminance at each spatial frequency. The vehicle is what
+            its mask shows, grown by 2 pixels.
         masks: what `mask_renderer` draws.
     """
     return {name: _PARTS[part](one, rendered[name], masks[name]) for name, one in recorded.items()}
