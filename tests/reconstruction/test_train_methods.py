@@ -13,7 +13,7 @@ from recast.logs import DrivingLog
 from recast.reconstruction import SceneConfig, TrainingStatus, TrainResult, train_scene
 from recast.reconstruction.views import read_view
 from recast.scene import SceneRasterizer, load_scene
-from recast.splats import Rasterization, rasterize
+from recast.splats import CLASSIC, Rasterization, rasterize
 from support.tiny_street import KilledError
 
 EVERYTHING = SceneConfig(
@@ -23,6 +23,7 @@ EVERYTHING = SceneConfig(
     voxel_m=0.8,
     threads=1,
     seed=3,
+    low_pass=CLASSIC,
     sky="cubemap",
     sky_face_px=8,
     sky_loss="entropy",
@@ -79,9 +80,9 @@ def test_sizes_of_gradients_are_computed_only_while_they_count(
 ) -> None:
     asked: list[bool] = []
 
-    def spy(*arguments: Any, absgrad: bool) -> Rasterization:
+    def spy(*arguments: Any, absgrad: bool, **filters: Any) -> Rasterization:
         asked.append(absgrad)
-        return rasterize(*arguments, absgrad=absgrad)
+        return rasterize(*arguments, absgrad=absgrad, **filters)
 
     monkeypatch.setattr("recast.reconstruction.step.rasterize", spy)
     short = EVERYTHING.model_copy(update={"iterations": 4, "densify_until": 0.5})

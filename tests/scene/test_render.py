@@ -9,7 +9,7 @@ from recast.reconstruction import TrainResult
 from recast.reconstruction.views import TrainingView, read_view
 from recast.scene import SceneRasterizer, render_scene
 from recast.scene.sky import OPAQUE
-from recast.splats import rasterize
+from recast.splats import MIP, rasterize
 
 
 @pytest.fixture(scope="module")
@@ -26,7 +26,9 @@ def test_fast_path_equals_the_plain_one(trained: TrainResult, view: TrainingView
     image = fast.render(view.camera, view.camera_from_world, poses)
     K = torch.from_numpy(view.camera.matrix).float()
     pose = torch.from_numpy(view.camera_from_world).float()
-    plain = rasterize(scene.at(poses), pose, K, view.camera.width, view.camera.height)
+    assert scene.low_pass == MIP == scene.actors["0"].low_pass
+    filters = {"eps2d": MIP.variance, "antialiased": MIP.antialiased}
+    plain = rasterize(scene.at(poses), pose, K, view.camera.width, view.camera.height, **filters)
     rays = view.camera.rays(view.camera.pixel_grid()) @ view.world_from_camera[:3, :3].T
     sky = scene.sky(torch.from_numpy(rays).float().view(-1, 3))
     through = torch.where(plain.alpha < OPAQUE, 1 - plain.alpha, 0.0)[..., None]

@@ -15,6 +15,7 @@ from recast.core.errors import InputError
 from recast.reconstruction import TrainResult
 from recast.scene import SceneActor, StreetScene, load_scene, save_scene
 from recast.scene.store import read_tensors, write_tensors
+from recast.splats import MIP
 from support.tiny_street import same
 
 
@@ -35,6 +36,7 @@ def test_round_trip_is_exact(trained: TrainResult, tmp_path: Path) -> None:
     for track_id, actor in loaded.actors.items():
         before = scene.actors[track_id]
         assert same(actor.gaussians, before.gaussians)
+        assert actor.low_pass == before.low_pass
         assert np.array_equal(actor.size, before.size)
         assert np.array_equal(actor.trajectory.poses, before.trajectory.poses)
         assert np.array_equal(actor.trajectory.timestamps_us, before.trajectory.timestamps_us)
@@ -47,6 +49,7 @@ def test_round_trip_is_exact(trained: TrainResult, tmp_path: Path) -> None:
         assert np.array_equal(loaded.camera_corrections[name][0], times)
         assert np.array_equal(loaded.camera_corrections[name][1], twists)
     assert loaded.log_name == scene.log_name
+    assert loaded.low_pass == scene.low_pass == MIP
 
 
 def test_a_scene_is_not_written_over(trained: TrainResult) -> None:

@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import itertools
 from dataclasses import replace
+from typing import get_args
 
 import numpy as np
 import pytest
@@ -19,7 +20,7 @@ from recast.synthetic.populate import (
     world_of,
 )
 from recast.synthetic.traffic import LATERAL_LIMIT, wheelbase
-from recast.synthetic.world import World, hiding, touching
+from recast.synthetic.world import Conditions, World, hiding, in_conditions, touching
 from support.small_street import small_street, small_world
 
 KINDS = ("urban-straight", "arterial-median", "suburban-curve")
@@ -166,6 +167,7 @@ def test_what_cannot_be_made_is_refused(name: str, seed: int, seconds: float, me
         ({"seed": "x"}, "does not name a world"),
         ({"scene": "moon"}, "is not known"),
         ({"light": "candle"}, "does not name a world"),
+        ({"conditions": "fog"}, "does not name a world"),
     ],
 )
 def test_only_synthetic_logs_of_this_version_have_a_world(
@@ -174,6 +176,37 @@ def test_only_synthetic_logs_of_this_version_have_a_world(
     metadata = {**world_metadata(small), **changed}
     with pytest.raises(InputError, match=message):
         world_of(replace(small_log, metadata=metadata))
+
+
+def test_conditions_change_the_light_alone(small: World, small_log: DrivingLog) -> None:
+    fair, dusk = (
+        world_of(replace(small_log, metadata=world_metadata(replace(small, conditions=name))))
+        for name in ("fair", "dusk")
+    )
+    assert "conditions" not in world_metadata(fair) and dusk.conditions == "dusk"
+    assert np.array_equal(fair.street.surface.vertices, dusk.street.surface.vertices)
+    assert np.array_equal(fair.ego.poses, dusk.ego.poses) and list(fair.vehicles) == list(
+        dusk.vehicles
+    )
+    skies = {name: in_conditions(fair.street.sky, name, 0.3) for name in get_args(Conditions)}
+    assert np.array_equal(dusk.street.sky.zenith, skies["dusk"].zenith)
+    changed = {
+        name for name, sky in skies.items() if not np.array_equal(sky.sun, skies["fair"].sun)
+    }
+    assert changed == {"overcast", "low-sun", "dusk"}
+    assert np.rad2deg(np.arcsin(skies["low-sun"].sun_direction[2])) == pytest.approx(8.0)
+
+
+@pytest.mark.parametrize("conditions", get_args(Conditions))
+def test_exposure_is_that_of_the_conditions(small: World, conditions: Conditions) -> None:
+    world, start = replace(small, conditions=conditions), int(small.ego.timestamps_us[0])
+    factors = [world.exposure("front", start + quarter * 1_250_000) for quarter in range(4)]
+    factors = np.array([*factors, world.exposure("front")]) / small.exposure("front")
+    if conditions == "varying-exposure":  # half a stop up and down in 5 s, right on average
+        assert np.allclose(factors, [1, 2**0.5, 1, 2**-0.5, 1])
+    else:
+        expected = {"dusk": 0.5, "underexposed": 0.45, "overexposed": 1.9}.get(conditions, 1.0)
+        assert np.allclose(factors, expected)
 
 
 def test_the_light_of_a_log_is_that_of_its_oracle(small: World, small_log: DrivingLog) -> None:

@@ -142,7 +142,8 @@ class CoverageMeter:
         self._means = gaussians.means.to(place)
         self._centre, self._size = _bounds(gaussians)
         background = _black(scene.background)
-        self._street = freeze(background.select(morton_order(background.means)).to(place))
+        ordered = background.select(morton_order(background.means)).to(place)
+        self._street = freeze(ordered, scene.low_pass)
         self._parts = {
             key: (painted if key == track_id else _black_actor(actor)).frozen(place)
             for key, actor in scene.actors.items()

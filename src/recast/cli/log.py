@@ -143,6 +143,11 @@ class LogSynth:
     """Standard deviation of the noise on box positions and sizes in metres."""
     people: bool = False
     """Add walking pedestrians and cyclists."""
+    conditions: Literal[
+        "fair", "overcast", "low-sun", "dusk", "underexposed", "overexposed", "varying-exposure"
+    ] = "fair"
+    """Light of the day, or exposure of the cameras; varying-exposure rises and falls by half a stop
+    in 5 s."""
 
     def __call__(self) -> None:
         from recast.core.diagnostics import ProgressBar
@@ -151,7 +156,8 @@ class LogSynth:
         console = console_for(False)
         check_request(self.out, self.width, self.height, self.label_noise, light=self.light)
         with console.status(f"building {self.scene}"):
-            world = make_world(self.scene, self.seed, self.seconds, self.light, self.people)
+            drive = self.scene, self.seed, self.seconds
+            world = make_world(*drive, self.light, self.people, self.conditions)
         frames = (len(CAMERAS) + 1) * (len(world.ego.timestamps_us) - 1)
         with ProgressBar("images and sweeps", console, frames) as bar:
             synthesize_log(

@@ -19,6 +19,7 @@ from recast.core.errors import InputError
 from recast.core.files import read_json, write_json
 from recast.core.records import Record, parse_record, validation_error
 from recast.scene.deformation import MOST_BANDS, MOST_CODE, MOST_LAYERS, MOST_WIDTH
+from recast.splats import CLASSIC, MIP, LowPass
 
 CONFIG_VERSION = 1
 Share = Annotated[float, Field(ge=0, le=1)]
@@ -64,6 +65,7 @@ _RATES: dict[Preset, dict[str, float]] = {
     },
 }
 _OF_BOTH: dict[str, Any] = {
+    "low_pass": CLASSIC,
     "sky": "cubemap",
     "sky_loss": "entropy",
     "sky_weight": 0.05,
@@ -136,6 +138,10 @@ class SceneConfig(Record):
     """
 
     model_config = ConfigDict(use_attribute_docstrings=True)
+
+    low_pass: LowPass = MIP
+    """Filter through which the street is trained and drawn: `variance`, px^2 added to projected
+    covariances, and `antialiased`, whether opacity is lowered by as much."""
 
     sky: Literal["panorama", "cubemap"] = "panorama"
     """Cells of the sky in training: 'panorama' or 'cubemap'."""

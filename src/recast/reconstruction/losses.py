@@ -249,7 +249,15 @@ class ActorOpacityTerm(LossTerm):
             return pose.new_zeros(())
         first = drawn.spans[0].first
         own = Gaussians(**{name: part[first:] for name, part in vars(drawn.gaussians).items()})
-        alpha = rasterize(own, pose, view.K, camera.width, camera.height).alpha
+        alpha = rasterize(
+            own,
+            pose,
+            view.K,
+            camera.width,
+            camera.height,
+            eps2d=self.config.low_pass.variance,
+            antialiased=self.config.low_pass.antialiased,
+        ).alpha
         camera_from_world = pose.detach().double().cpu().numpy()
         inside = np.zeros((camera.height, camera.width), bool)
         for size, world_from_actor in drawing.boxes:

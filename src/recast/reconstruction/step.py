@@ -213,7 +213,15 @@ class Trainer:
         pose = self.camera_poses.camera_from_world(view)
         size = camera.width, camera.height
         absolute = self._density.counts_sizes(self.iteration)
-        result = rasterize(drawn.gaussians, pose, level.K, *size, absgrad=absolute)
+        result = rasterize(
+            drawn.gaussians,
+            pose,
+            level.K,
+            *size,
+            eps2d=config.low_pass.variance,
+            antialiased=config.low_pass.antialiased,
+            absgrad=absolute,
+        )
         # The sky is smooth and far: the logged pose does for it.
         image = self.sky.behind(result.rgb, result.alpha, camera, view.camera_from_world)
         change = None
@@ -268,6 +276,7 @@ class Trainer:
             world_offset=log.world_offset,
             camera_corrections=self.camera_poses.corrections(self._views),
             log_name=log.name,
+            low_pass=self.config.low_pass,
         )
         return scene.exposed(self.exposures.mean()) if self._exposes() else scene
 
@@ -288,6 +297,7 @@ class Trainer:
             trajectory=self.track_poses.refined(track_id),
             appearance=appearance,
             deformation=deformation,
+            low_pass=self.config.low_pass,
         )
 
 

@@ -60,7 +60,6 @@ from recast.scene import StreetScene
 from recast.simulation import camera_mounts
 from recast.splats import Gaussians, LowPass, write_ply
 from recast.synthetic import Oracle
-from recast.synthetic.world import exposure
 from recast.trellis import (
     GeneratedVehicle,
     Generation,
@@ -264,7 +263,7 @@ def compare_with_truth(
             mounts,
             out / VIEWS_FOLDER,
             rng=np.random.default_rng(seed),
-            exposures={name: exposure(world.seed, name) for name in mounts},
+            exposures={name: world.exposure(name) for name in mounts},
             shares=actor.shares,
             progress=progress,
         )

@@ -45,7 +45,7 @@ from recast.reconstruction import (
 from recast.scene import load_scene
 from recast.scene.exchange import IMPORT_FILE
 from recast.synthetic import Oracle, is_synthetic, world_of
-from recast.synthetic.world import exposure, sensor_number
+from recast.synthetic.world import sensor_number
 from recast.synthetic.write import OraclePool
 
 
@@ -355,7 +355,7 @@ def _render(oracle: Oracle, view: ShiftedView) -> Image:
         view.camera,
         view.world_from_camera,
         timestamp_us=view.timestamp_us,
-        exposure=exposure(seed, camera),
+        exposure=oracle.world.exposure(camera, view.timestamp_us),
         rng=np.random.default_rng([seed, _STREAM, sensor_number(camera), view.frame]),
     )
     return frame.rgb

@@ -33,7 +33,7 @@ RECIPES = {
     "actor": 11,
     "refine": 6,
     "turntable": 1,
-    "scene": 4,
+    "scene": 5,
     "evaluation": 3,
     "truth": 5,
     "rollout": 8,

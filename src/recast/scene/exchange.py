@@ -27,7 +27,7 @@ from recast.scene.actor import SceneActor
 from recast.scene.sky import SkyMap, read_sky, write_sky
 from recast.scene.store import log_fingerprint, save_scene
 from recast.scene.street_scene import StreetScene
-from recast.splats import Gaussians
+from recast.splats import CLASSIC, Gaussians
 from recast.splats.formats import format_named, format_of, read_gaussians, write_gaussians
 
 TEXT_LIMIT = 1 << 16
@@ -291,13 +291,13 @@ def import_gaussians(
         background = background.transformed(pose, placement.scale)
     seen = SkyMap.constant(torch.zeros(3)) if sky is None else read_sky(sky)
     no_sky = "sky: the file has none, and no image of one was given; it is black"
-    layout = format_of(path).name
+    layout, low_pass = format_of(path).name, format_of(path).low_pass(path)
     return write_imported(
         path,
         log,
         out,
         placement,
-        StreetScene(background, {}, seen),
+        StreetScene(background, {}, seen, low_pass=low_pass or CLASSIC),
         layout=layout,
         tracks={},
         left_out=() if sky else (no_sky,),
@@ -313,8 +313,8 @@ CONVENTIONS = {
     "world": "z up; coordinates of the dataset = coordinates here + world_offset",
     "actor": "origin in the centre of the box, x forward, y left, z up",
     "poses": "world_from_actor, 4x4, row by row: x_world = R x_actor + t",
-    "low_pass": "filter that an actor's Gaussians were made for: px^2 added to projected "
-    "covariances, and whether opacity is lowered by as much; everything else: 0.3, not lowered",
+    "low_pass": "filter that the Gaussians of the background or an actor were made for: px^2 added "
+    "to projected covariances, and whether opacity is lowered by as much; shadows: 0.3, no",
     "sky": "equirectangular, infinitely far, behind the Gaussians (rgb + (1 - alpha) sky): top row "
     "zenith, bottom row nadir, columns from azimuth -pi to pi, counter-clockwise from x seen from "
     "above; 16 bits a channel, 65535 = 1",
@@ -336,7 +336,7 @@ def export_scene(scene: StreetScene, folder: str | Path, splat_format: str = "pl
     """
     names, suffix = _file_names(scene.actors), format_named(splat_format).suffix
     with atomic_folder(folder) as partial:
-        write_gaussians(partial / f"{BACKGROUND}{suffix}", scene.background)
+        write_gaussians(partial / f"{BACKGROUND}{suffix}", scene.background, scene.low_pass)
         actors = []
         for track_id, actor in scene.actors.items():
             files = {"gaussians": f"actors/{names[track_id]}{suffix}"}
@@ -377,7 +377,7 @@ def export_scene_at(
     poses = scene.actor_poses(timestamp_us)
     with atomic_folder(folder) as partial:
         merged = f"{MERGED}{format_named(splat_format).suffix}"
-        write_gaussians(partial / merged, scene.at(poses, timestamp_us))
+        write_gaussians(partial / merged, scene.at(poses, timestamp_us), scene.low_pass)
         actors = [
             {"track_id": track_id, "world_from_actor": pose.tolist()}
             for track_id, pose in poses.items()
@@ -424,6 +424,7 @@ def _finish(scene: StreetScene, folder: Path, splat_format: str, parts: dict[str
         "log_name": scene.log_name,
         "world_offset": np.asarray(scene.world_offset).tolist(),
         "sky": SKY_FILE,
+        "low_pass": asdict(scene.low_pass),
         "splat_format": splat_format,
         **parts,
         "conventions": CONVENTIONS | {"gaussians": format_named(splat_format).contents},

@@ -199,6 +199,7 @@ class SceneRecord(Record):
     log_name: str
     world_offset: tuple[float, float, float]
     background: str
+    low_pass: LowPass = CLASSIC
     tensors: str = TENSOR_FILE
     actors: list[SceneActorRecord]
     cameras: list[str]
@@ -217,12 +218,12 @@ def save_scene(scene: StreetScene, folder: str | Path) -> None:
     folder = Path(folder)
     if (folder / SCENE_FILE).exists():
         raise InputError(folder, "output folder", "already holds a scene", "name another one")
-    write_ply(folder / "background.ply", scene.background)
+    write_ply(folder / "background.ply", scene.background, scene.low_pass)
     tensors: dict[str, Tensor] = {"sky": scene.sky.colours}
     records = []
     for index, (track_id, actor) in enumerate(scene.actors.items()):
         stem = f"actor_{index:03d}_{folder_name(track_id)}"
-        write_ply(folder / f"{stem}.ply", actor.gaussians)
+        write_ply(folder / f"{stem}.ply", actor.gaussians, actor.low_pass)
         if actor.shadow is not None:
             write_ply(folder / f"{stem}_shadow.ply", actor.shadow)
         trajectory = actor.trajectory
@@ -256,6 +257,7 @@ def save_scene(scene: StreetScene, folder: str | Path) -> None:
         log_name=scene.log_name,
         world_offset=_triple(scene.world_offset),
         background="background.ply",
+        low_pass=scene.low_pass,
         actors=records,
         cameras=list(scene.camera_corrections),
         deformation=DEFORMATION_FILE if deformations else None,
@@ -301,6 +303,7 @@ def load_scene(folder: str | Path) -> StreetScene:
             for name in record.cameras
         },
         log_name=record.log_name,
+        low_pass=record.low_pass,
     )
     try:
         scene.validate()

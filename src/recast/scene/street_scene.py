@@ -18,7 +18,9 @@ from recast.logs.checks import check_times
 from recast.scene.actor import DrawnActor, SceneActor, check_gaussians, exposed, exposed_colours
 from recast.scene.sky import SkyMap, composite, pixel_coordinates
 from recast.splats import (
+    CLASSIC,
     Gaussians,
+    LowPass,
     RasterImages,
     Window,
     concatenate,
@@ -130,6 +132,7 @@ class StreetScene:
         camera_corrections: learned camera pose corrections by camera name: times (F,) int64 and
             twists (F, 6) (see `recast.scene.street_scene.corrected`).
         log_name: the log it was made from.
+        low_pass: filter that the background was made for; each actor has its own.
         origin: the folder that it was read from; None for one that was changed or never saved.
     """
 
@@ -139,6 +142,7 @@ class StreetScene:
     world_offset: Array = field(default_factory=lambda: np.zeros(3))
     camera_corrections: Mapping[str, tuple[Int64Array, Array]] = field(default_factory=dict)
     log_name: str = ""
+    low_pass: LowPass = CLASSIC
     origin: Path | None = field(default=None, init=False, compare=False, repr=False)
 
     def validate(self) -> None:
@@ -255,7 +259,8 @@ class SceneRasterizer:
         self._standing = scene.standing
         self._sky = scene.sky.colours.to(place)
         background = scene.background.detach()
-        self._background = freeze(background.select(morton_order(background.means)).to(place))
+        ordered = background.select(morton_order(background.means)).to(place)
+        self._background = freeze(ordered, scene.low_pass)
         self._actors = {
             track_id: DrawnActor(actor, place) for track_id, actor in scene.actors.items()
         }

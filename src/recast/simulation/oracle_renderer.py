@@ -21,7 +21,7 @@ from recast.simulation.scene_renderer import SceneRenderer
 from recast.splats import RasterImages
 from recast.synthetic import World
 from recast.synthetic.rendering import CameraFrame
-from recast.synthetic.world import exposure, sensor_number
+from recast.synthetic.world import sensor_number
 from recast.synthetic.write import Oracle, OraclePool
 
 _TRUTH_STREAM, _DISTURBANCE_STREAM = 701, 702
@@ -54,7 +54,7 @@ class TrueView(NamedTuple):
             self.camera,
             self.world_from_camera,
             self.poses,
-            exposure=exposure(seed, self.exposed_as),
+            exposure=oracle.world.exposure(self.exposed_as),
             rng=np.random.default_rng([*number, self.noise] if self.noise else number),
             **shown,
         )

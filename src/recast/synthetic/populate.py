@@ -18,7 +18,7 @@ from scipy.ndimage import gaussian_filter1d
 
 from recast.arrays import Array
 from recast.core.errors import InputError
-from recast.geometry import se2
+from recast.geometry import se2, se3
 from recast.logs import DrivingLog, Trajectory
 from recast.synthetic.gaits import PersonLook, Ride, Walk, moving_model
 from recast.synthetic.streets import SCENES, make_street
@@ -36,7 +36,16 @@ from recast.synthetic.traffic import (
     try_parking,
 )
 from recast.synthetic.vehicles import sample_vehicle
-from recast.synthetic.world import RATE_HZ, Quality, Street, Vehicle, VehicleModel, World
+from recast.synthetic.world import (
+    RATE_HZ,
+    Conditions,
+    Quality,
+    Street,
+    Vehicle,
+    VehicleModel,
+    World,
+    in_conditions,
+)
 
 _SLICES = (0.35, 0.9, 1.5)
 """Heights at which the street is cut: what is met there is in a person's way."""
@@ -322,12 +331,14 @@ def make_world(
     seconds: float = 8.0,
     light: Quality = "standard",
     people: bool = False,
+    conditions: Conditions = "fair",
 ) -> World:
     """The drive that `name`, `seed`, `seconds` and `people` stand for; always the same.
 
     Poses are at 10 Hz from 0 to `seconds`, rounded down to whole tenths. `light` is how cameras
     are lit; all else is the same with either. With `people` there are pedestrians and cyclists as
-    well; street and traffic are the same without them.
+    well; street and traffic are the same without them. `conditions` change the light and the
+    exposure alone.
 
     Raises:
         InputError: see `check_drive`.
@@ -336,7 +347,10 @@ def make_world(
     street = make_street(
         name, _generator(name, seed, _STREET), max(_USUAL_SPEED * seconds, _SHORTEST_STREET)
     )
-    return replace(populate(street, name, seed, seconds, people), light=light)
+    world = populate(street, name, seed, seconds, people)
+    sky = in_conditions(street.sky, conditions, float(se3.yaw(world.ego.poses[0])))
+    street = replace(street, sky=sky)
+    return replace(world, street=street, light=light, conditions=conditions)
 
 
 def check_drive(name: str, seed: int, seconds: float) -> None:
@@ -384,7 +398,7 @@ def populate(street: Street, name: str, seed: int, seconds: float, people: bool 
 def world_metadata(world: World) -> dict[str, str]:
     """What a log says of the world it shows; `world_of` reads it back.
 
-    A world without people does not mention them, so that its log is that of earlier releases.
+    People and conditions are mentioned only where they are not as in earlier releases.
     """
     metadata = {
         "dataset": DATASET,
@@ -396,7 +410,11 @@ def world_metadata(world: World) -> dict[str, str]:
         "target": world.target,
         "light": world.light,
     }
-    return {**metadata, "people": "yes"} if world.people else metadata
+    if world.people:
+        metadata["people"] = "yes"
+    if world.conditions != "fair":
+        metadata["conditions"] = world.conditions
+    return metadata
 
 
 def is_synthetic(log: DrivingLog) -> bool:
@@ -423,11 +441,13 @@ def world_of(log: DrivingLog) -> World:
         name, seed, seconds = metadata["scene"], int(metadata["seed"]), float(metadata["seconds"])
         light = next(known for known in get_args(Quality) if known == metadata["light"])
         people = {"no": False, "yes": True}[metadata.get("people", "no")]
+        told = metadata.get("conditions", "fair")
+        conditions = next(known for known in get_args(Conditions) if known == told)
     except (KeyError, ValueError, StopIteration) as error:
         raise InputError(
             log.name, "metadata", f"does not name a world ({error})", "make the log again"
         ) from None
-    return make_world(name, seed, seconds, light, people)
+    return make_world(name, seed, seconds, light, people, conditions)
 
 
 def _driving(scene: TrafficScene, name: str, seed: int) -> list[PlacedVehicle]:

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import zlib
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Literal, Protocol
@@ -34,6 +34,10 @@ from recast.synthetic.surface import Surface
 
 Quality = Literal["standard", "mitsuba"]
 """Where the light of the sky comes from: one bounce of our own, or mitsuba's path tracer."""
+Conditions = Literal[
+    "fair", "overcast", "low-sun", "dusk", "underexposed", "overexposed", "varying-exposure"
+]
+"""Light of the day, or how the cameras are exposed to it."""
 Times = NDArray[np.bool_]
 
 
@@ -135,6 +139,7 @@ class World:
         target: track id of the vehicle that the scene was made to ask about.
         light: how cameras are lit, in the log and by the oracle.
         people: whether pedestrians and cyclists are among the vehicles.
+        conditions: light of the day, which `street.sky` has, and exposure of the cameras.
     """
 
     name: str
@@ -146,6 +151,16 @@ class World:
     target: str
     light: Quality = "standard"
     people: bool = False
+    conditions: Conditions = "fair"
+
+    def exposure(self, camera: str, timestamp_us: int | None = None) -> float:
+        """How much brighter than right a camera's images are; in a simulation, which has no time of
+        the log (None), as on average."""
+        factor = _EXPOSED.get(self.conditions, 1.0)
+        if self.conditions == "varying-exposure" and timestamp_us is not None:
+            seconds = (timestamp_us - int(self.ego.timestamps_us[0])) / 1e6
+            factor = float(2 ** (_VARIES_STOPS * np.sin(2 * np.pi * seconds / _VARIES_S)))
+        return factor * exposure(self.seed, camera)
 
 
 def touching(
@@ -201,6 +216,46 @@ def daylight(rng: Generator, elevation: tuple[float, float] = (25.0, 60.0)) -> S
         clouds=clouds,
         seed=int(rng.integers(2**31)),
     )
+
+
+def in_conditions(sky: Sky, conditions: Conditions, heading: float) -> Sky:
+    """The sky of a fair day in other light.
+
+    Overcast: hardly any sun. Low sun: 8 degrees high, 20 degrees beside the way of the ego. Dusk:
+    no sun, a blue sky that is bright and red in one direction only.
+
+    Args:
+        heading: direction in which the ego sets out, radians.
+    """
+    grey = np.array([0.60, 0.63, 0.67])
+    match conditions:
+        case "overcast":
+            return replace(
+                sky,
+                sun=0.02 * sky.sun,
+                sun_radius=0.06,
+                zenith=grey,
+                horizon=1.05 * grey,
+                clouds=1.0,
+            )
+        case "low-sun":
+            towards = se3.direction(heading + np.deg2rad(20.0), np.deg2rad(8.0))
+            sun = np.array([3.2, 2.3, 1.3])
+            return replace(
+                sky, sun_direction=towards, sun=sun, horizon=np.array([0.95, 0.82, 0.62])
+            )
+        case "dusk":
+            after = se3.direction(heading + np.deg2rad(50.0), np.deg2rad(2.0))
+            return replace(
+                sky,
+                sun_direction=after,
+                sun=np.array([0.10, 0.05, 0.03]),
+                sun_radius=0.1,
+                zenith=np.array([0.05, 0.07, 0.14]),
+                horizon=np.array([0.20, 0.16, 0.17]),
+            )
+        case _:
+            return sky
 
 
 RATE_HZ = 10
@@ -276,6 +331,12 @@ def _mount(name: str) -> Array:
     place, yaw = _CAMERA_PLACES[name]
     rotation = se3.rotation_z(yaw) @ _RIG_FROM_FORWARD_CAMERA
     return se3.from_rotation_translation(rotation, np.array(place))
+
+
+_EXPOSED = {"dusk": 0.5, "underexposed": 0.45, "overexposed": 1.9}
+"""Factor on the exposure that is right for a white surface."""
+_VARIES_STOPS, _VARIES_S = 0.5, 5.0
+"""By how many stops, and in how many seconds, an exposure that varies rises and falls."""
 
 
 def exposure(seed: int, camera: str) -> float:

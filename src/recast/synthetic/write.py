@@ -58,7 +58,6 @@ from recast.synthetic.world import (
     RigCamera,
     TruthRecord,
     World,
-    exposure,
     make_rig,
     sensor_number,
     write_truth_frame,
@@ -318,7 +317,7 @@ def _photograph(oracle: Oracle, job: Measurement, camera: RigCamera) -> tuple[in
         camera.camera,
         world.ego.at(job.timestamp_us) @ camera.rig_from_camera,
         timestamp_us=job.timestamp_us,
-        exposure=exposure(world.seed, job.sensor),
+        exposure=world.exposure(job.sensor, job.timestamp_us),
         rng=_generator(oracle, _CAMERA_STREAM, job),
     )
     PillowImage.fromarray(frame.rgb).save(image_file(job.spool, job.sensor, job.frame))

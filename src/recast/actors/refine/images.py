@@ -39,7 +39,7 @@ from recast.scene.actor import draw, mirrored
 from recast.scene.light import CastShadow, SceneLight, darkened
 from recast.scene.light.sun import DIRECTIONS
 from recast.scene.sky import composite, pixel_coordinates
-from recast.splats import CLASSIC, Gaussians, LowPass, concatenate, refiltered
+from recast.splats import Gaussians, LowPass, concatenate, refiltered
 from recast.splats.gaussians import C0, quat_to_matrix
 
 
@@ -94,18 +94,21 @@ def _layers(
     view = torch.from_numpy(sighting.camera_from_world).float()
     K = torch.from_numpy(camera.matrix).float()
     poses = scene.actor_poses(sighting.timestamp_us)
+    low_pass = scene.low_pass
     parts = [scene.background]
     for track_id, pose in poses.items():
         if track_id != evidence.track_id:
             time = sighting.timestamp_us
             actor = scene.actors[track_id].coloured_at(time).shaped_at(time)
             posed = actor.gaussians.transformed(torch.from_numpy(pose))
-            parts.append(refiltered(posed, actor.low_pass, CLASSIC, view, K))
+            parts.append(refiltered(posed, actor.low_pass, low_pass, view, K))
     cast = shadow.transformed(torch.from_numpy(sighting.world_from_object))
     street = concatenate(parts).detach()
     nearer = _nearer(street, evidence, sighting)
     with torch.no_grad():
-        front, back = (draw(street.select(chosen), view, camera) for chosen in (nearer, ~nearer))
+        front, back = (
+            draw(street.select(chosen), view, camera, low_pass) for chosen in (nearer, ~nearer)
+        )
         shade = draw(cast, view, camera).alpha
         behind = composite(
             back.rgb,

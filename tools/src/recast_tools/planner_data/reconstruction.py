@@ -36,7 +36,6 @@ from recast.runs.sources import SourceLog, generator_source, segmenter_source
 from recast.scene import StreetScene, load_scene
 from recast.scene.street_scene import SceneRasterizer
 from recast.synthetic import World
-from recast.synthetic.world import exposure
 from recast.synthetic.write import Oracle
 from recast_tools.planner_data.stage import SampleStage, stage_of
 from recast_tools.planner_training.samples import RENDERERS, Renderer
@@ -72,7 +71,7 @@ def traced(oracle: Oracle, rng: np.random.Generator) -> SamplePainter:
     def paint(
         name: str, camera: PinholeCamera, world_from_camera: Array, poses: Mapping[str, Array]
     ) -> Image:
-        brightness = exposure(oracle.world.seed, name)
+        brightness = oracle.world.exposure(name)
         drawn = oracle.render(camera, world_from_camera, poses, exposure=brightness, rng=rng)
         return drawn.rgb
 
