@@ -53,3 +53,22 @@ def test_written_into_the_colours_it_draws_the_same_picture() -> None:
     changed = rasterize(exposed(gaussians, AFFINE), torch.eye(4), K, 48, 32)
     expected = plain.rgb @ AFFINE[:, :3].T + plain.alpha[..., None] * AFFINE[:, 3]
     assert torch.allclose(changed.rgb, expected, atol=1e-5)
+
+
+def test_between_knots_the_change_is_interpolated_and_parts_multiply() -> None:
+    exposures = Exposures([view(frame) for frame in range(7)], apart_s=0.3)  # knots at 0, 3, 6
+    with torch.no_grad():
+        exposures.table.value[0, 0], exposures.table.value[1, 0] = -0.3, 0.3
+        exposures.table.value[2, 3] = 0.1
+    image = torch.full((4, 6, 3), 0.5)
+    shown = [exposures.applied(image, view(frame))[0].detach() for frame in range(7)]
+    reds = [float(one[0, 0, 0]) for one in shown]
+    third = 0.05 / 3  # of what the last knot differs from the one before
+    expected = [0.35, 0.45, 0.55, 0.65, 0.65 - third, 0.65 - 2 * third, 0.6]
+    assert np.allclose(reds, expected)
+    times, left = exposures.learned()["front"]
+    assert times.tolist() == [0, 300_000, 600_000]
+    mean = exposed_colours(image, exposures.mean())
+    for frame in (0, 3, 6):  # what is left, after the mean, is the whole change
+        row = torch.from_numpy(left[frame // 3]).float()
+        assert torch.allclose(exposed_colours(mean, row), shown[frame], atol=1e-6)

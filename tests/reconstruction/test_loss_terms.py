@@ -38,7 +38,7 @@ def test_a_term_of_ones_own_is_trained_and_told(
     dark = train_scene(tiny_log, tmp_path / "dark", SHORT, progress=told.append)
     before, after = (result.scene.background.sh[:, 0].mean().item() for result in (usual, dark))
     assert after < before - 0.02
-    assert set(plain[-1].terms) == {"photometric", "depth", "sky", "solid"}
+    assert set(plain[-1].terms) == {"photometric", "depth", "sky", "solid", "exposure"}
     assert set(told[-1].terms) == {*plain[-1].terms, "darkness"}
     assert told[-1].terms["darkness"] > 0
 

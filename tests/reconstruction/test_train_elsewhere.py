@@ -147,8 +147,9 @@ def test_a_scene_drawn_elsewhere_looks_the_same(trained: TrainResult, tiny_log: 
     assert poses
     rasterizer = SceneRasterizer(scene)
     assert rasterizer.draw(camera, pose, poses).rgb.device == ELSEWHERE
-    got = rasterizer.render(camera, pose, poses)
-    expected = SceneRasterizer(scene, "cpu").render(camera, pose, poses)
+    exposure = scene.exposure(name, time)
+    got = rasterizer.render(camera, pose, poses, exposure=exposure)
+    expected = SceneRasterizer(scene, "cpu").render(camera, pose, poses, exposure=exposure)
     # Frozen scenes on the CPU keep their colours in half precision: within a grey level.
     for part, size in (("rgb", 1.0), ("depth", float(expected.depth.max())), ("alpha", 1.0)):
         difference = np.abs(getattr(got, part) - getattr(expected, part))

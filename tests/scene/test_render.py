@@ -1,14 +1,21 @@
 from __future__ import annotations
 
+from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any
+
 import numpy as np
 import pytest
 import torch
 
+from recast.cameras import CameraMount
 from recast.logs import DrivingLog
 from recast.reconstruction import TrainResult
+from recast.reconstruction.evaluate import draw_view
 from recast.reconstruction.views import TrainingView, read_view
 from recast.scene import SceneRasterizer, render_scene
 from recast.scene.sky import OPAQUE
+from recast.simulation.scene_renderer import SceneRenderer
 from recast.splats import MIP, rasterize
 
 
@@ -62,3 +69,33 @@ def test_a_moved_actor_moves_in_the_image(trained: TrainResult, view: TrainingVi
         return float((changed.sum(0) * np.arange(view.camera.width)).sum() / changed.sum())
 
     assert centre(0.5) < centre(-0.5) - 2
+
+
+def test_an_image_is_exposed_as_its_camera_was(trained: TrainResult, view: TrainingView) -> None:
+    start = int(view.timestamp_us)
+    affines = np.zeros((2, 3, 4))
+    affines[:, :, :3] = np.array([0.5, 0.7])[:, None, None] * np.eye(3)
+    affines[1, :, 3] = 0.1
+    times = np.array([start, start + 100_000])
+    plain = replace(trained.scene, exposures={})
+    scene = replace(plain, exposures={view.camera_name: (times, affines)})
+    scene.validate()
+    assert scene.exposure("other", start) is None
+    mount = CameraMount(view.camera, np.eye(4))
+    mounts = {view.camera_name: mount, "other": mount}
+    world_from_rig = np.linalg.inv(view.camera_from_world)
+    for share in (-1.0, 0.0, 0.5, 1.0, 2.0):
+        within = min(max(share, 0.0), 1.0)
+        state: Any = SimpleNamespace(
+            timestamp_us=start + int(share * 100_000),
+            actors={},
+            poses={},
+            world_from_rig=world_from_rig,
+        )
+        seen = SceneRenderer(scene, mounts).render(state, list(mounts))
+        expected = (0.5 + 0.2 * within) * seen["other"] / 255 + 0.1 * within
+        assert np.abs(seen[view.camera_name] / 255 - expected).max() < 1.5 / 255
+    drawn, dark = (draw_view(SceneRasterizer(one), one, view).rgb for one in (plain, scene))
+    assert np.abs(dark - 0.5 * drawn).max() < 1e-3
+    with pytest.raises(ValueError, match=r"exposures.*transforms"):
+        replace(scene, exposures={"front": (times, affines[:1])}).validate()

@@ -50,6 +50,10 @@ def test_round_trip_is_exact(trained: TrainResult, tmp_path: Path) -> None:
         assert np.array_equal(loaded.camera_corrections[name][1], twists)
     assert loaded.log_name == scene.log_name
     assert loaded.low_pass == scene.low_pass == MIP
+    assert loaded.exposures.keys() == scene.exposures.keys() == scene.camera_corrections.keys()
+    for name, (times, affines) in scene.exposures.items():
+        assert np.array_equal(loaded.exposures[name][0], times)
+        assert np.array_equal(loaded.exposures[name][1], affines)
 
 
 def test_a_scene_is_not_written_over(trained: TrainResult) -> None:

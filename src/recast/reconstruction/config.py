@@ -55,7 +55,7 @@ _RATES_OF_BOTH = {
 _RATES: dict[Preset, dict[str, float]] = {
     # Centres: 1.6e-4 times the scene's radius, which is 10 m (Street Gaussians' `extent`) and, of
     # the LiDAR's bounds in OmniRe, about 50 m.
-    "streetgs": {**_RATES_OF_BOTH, "means_lr": 1.6e-3, "camera_pose_lr": 0.0},
+    "streetgs": {**_RATES_OF_BOTH, "means_lr": 1.6e-3, "camera_pose_lr": 0.0, "exposure_lr": 0.0},
     "omnire": {
         **_RATES_OF_BOTH,
         "means_lr": 8e-3,
@@ -110,6 +110,7 @@ _VALUES: dict[Preset, dict[str, Any]] = {
         "depth_weight": 0.01,
         "sharp_shape_weight": 1.0,
         "track_smoothness_weight": 0.01,
+        "exposure_s": 0.0,
         "exposure_weight": 1e-5,
         "densify_until": 0.5,
         # As at the published steps, a tenth of the run is left after the last one.
@@ -177,9 +178,11 @@ class SceneConfig(Record):
 
     flip_probability: Share = 0.0
     """Probability that a step sees an actor's Gaussians mirrored; 0: off."""
-    exposure_lr: NonNegativeFloat = 0.0
-    """Learning rate of each image's affine colours; 0: off."""
-    exposure_weight: NonNegativeFloat = 0.0
+    exposure_lr: NonNegativeFloat = 0.03
+    """Learning rate of the affine change of an image's colours; 0: off."""
+    exposure_s: NonNegativeFloat = 0.5
+    """Seconds between the times at which a camera's change is learned; 0: at each image."""
+    exposure_weight: NonNegativeFloat = 1e-3
     """Weight of the mean absolute change of an image's colours."""
 
     depth_error: Literal["relative", "metric", "inverse"] = "relative"

@@ -472,11 +472,13 @@ class ViewScorer:
 
 
 def draw_view(rasterizer: SceneRasterizer, scene: StreetScene, view: TrainingView) -> SceneImage:
-    """A view redrawn: camera corrected, actors where they were; unusable pixels as recorded."""
+    """A view redrawn: camera corrected, exposed as it was, actors where they were; unusable pixels
+    as recorded."""
     pose = scene.corrected_camera(view.camera_from_world, view.camera_name, view.timestamp_us)
     poses = scene.actor_poses(view.timestamp_us)
     time = view.timestamp_us
-    image = rasterizer.render(view.camera, pose, poses, colours_us=time, shapes_us=time)
+    exposure = scene.exposure(view.camera_name, time)
+    image = rasterizer.render(view.camera, pose, poses, time, time, exposure)
     if view.mask is None:
         return image
     recorded = view.image.astype(np.float32) / 255

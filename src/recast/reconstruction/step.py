@@ -116,7 +116,7 @@ class Trainer:
         self._symmetric = torch.tensor(symmetric, dtype=torch.bool)
         self.camera_poses = CameraPoses(self._views)
         self.track_poses = TrackPoses(tracks, views)
-        self.exposures = Exposures(self._views)
+        self.exposures = Exposures(self._views, config.exposure_s)
         self._sheet: GroundSheet | None = None
         if start.ground is not None:
             self._sheet = GroundSheet(start.ground, config.ground_tolerance_m, self.device)
@@ -267,7 +267,7 @@ class Trainer:
         self.camera_poses.table.step(torch.tensor([metres] * 3 + [radians] * 3))
 
     def scene(self, log: DrivingLog) -> StreetScene:
-        """The scene as it stands, copied to the CPU; colours are those of the mean exposure."""
+        """The scene as it stands, copied to the CPU; its colours have the mean exposure."""
         shapes = self.deformable.learned() | {k: v.skinning for k, v in self._bodies.items()}
         scene = StreetScene(
             background=copy(self.model.background).to("cpu"),
@@ -278,7 +278,10 @@ class Trainer:
             log_name=log.name,
             low_pass=self.config.low_pass,
         )
-        return scene.exposed(self.exposures.mean()) if self._exposes() else scene
+        if not self._exposes():
+            return scene
+        scene = replace(scene, exposures=self.exposures.learned())
+        return scene.exposed(self.exposures.mean())
 
     def save(self, log: DrivingLog, folder: Path) -> StreetScene:
         """Write the scene as it stands into a folder, see `save_scene`."""

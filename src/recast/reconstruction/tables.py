@@ -277,32 +277,64 @@ def _affine(residual: Tensor) -> Tensor:
 
 
 class Exposures:
-    """A transform [I | 0] + residual (3, 4) of the composited colours for each training view.
+    """A transform [I | 0] + residual (3, 4) of the composited colours, at knots in time.
 
-    Blending is linear: with alpha the sum of the weights, A (sum w c + (1 - alpha) sky) + b equals
-    sum w (A c + b) + (1 - alpha) (A sky + b). So the mean transform, which views that nobody
-    trained on get, can be written into a scene's colours. It holds while no Gaussian's colour is
-    clamped.
+    Each camera has its own knots; a view lies between two of them. Blending is linear: with alpha
+    the sum of the weights, A (sum w c + (1 - alpha) sky) + b equals sum w (A c + b) + (1 - alpha)
+    (A sky + b). So the mean transform can be written into a scene's colours. It holds while no
+    Gaussian's colour is clamped.
+
+    Args:
+        apart_s: least time between two knots, seconds; 0 for a knot at each view.
 
     Attributes:
-        table: (V, 12) the residuals.
+        table: (K, 12) the residuals, of one camera after the other.
     """
 
-    def __init__(self, views: Sequence[TrainingView]) -> None:
-        self._rows = {(view.camera_name, view.frame): row for row, view in enumerate(views)}
-        self.table = AdamTable(torch.zeros(len(views), 12))
+    def __init__(self, views: Sequence[TrainingView], apart_s: float = 0.0) -> None:
+        self._knots: dict[str, Int64Array] = {}
+        self._first: dict[str, int] = {}
+        count = 0
+        for name in dict.fromkeys(view.camera_name for view in views):
+            times = [view.timestamp_us for view in views if view.camera_name == name]
+            kept = times[:1]
+            for time in times[1:]:
+                if time - kept[-1] >= apart_s * 1e6:
+                    kept.append(time)
+            self._knots[name], self._first[name] = np.array(kept, np.int64), count
+            count += len(kept)
+        self.table = AdamTable(torch.zeros(count, 12))
 
     def applied(self, image: Tensor, view: TrainingView) -> tuple[Tensor, Tensor]:
         """The image (H, W, 3) as the view's camera exposed it, and the mean size of the residual.
 
         Both are differentiable, the second is what a regulariser weighs.
         """
-        residual = self.table.value[self._rows[view.camera_name, view.frame]].to(image.device)
+        knots, first = self._knots[view.camera_name], self._first[view.camera_name]
+        place = np.interp(view.timestamp_us, knots, np.arange(len(knots)))
+        before = min(int(place), max(len(knots) - 2, 0))
+        rows = self.table.value[first + before : first + before + 2]
+        share = float(place) - before
+        residual = (rows[0] if len(rows) == 1 else torch.lerp(rows[0], rows[1], share)).to(
+            image.device
+        )
         return exposed_colours(image, _affine(residual)), residual.abs().mean()
 
     def mean(self) -> Tensor:
-        """The transform (3, 4) of views that were not trained on."""
+        """The mean transform (3, 4)."""
         return _affine(self.table.value.detach().mean(dim=0))
+
+    def learned(self) -> dict[str, tuple[Int64Array, Array]]:
+        """What is left of the transforms after their mean: times (F,) and (F, 3, 4) by camera."""
+        affines = torch.stack([_affine(row) for row in self.table.value.detach()]).double()
+        last = torch.tensor([[[0.0, 0.0, 0.0, 1.0]]], dtype=torch.float64)
+        whole = torch.cat([affines, last.expand(len(affines), 1, 4)], dim=1)
+        mean = torch.cat([self.mean().double(), last[0]])
+        left = (whole @ torch.linalg.inv(mean))[:, :3].numpy()
+        return {
+            name: (times, left[self._first[name] : self._first[name] + len(times)])
+            for name, times in self._knots.items()
+        }
 
 
 class PanoramaSky:

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from pydantic import Field
 from safetensors.torch import save
 from torch import Tensor
 
@@ -203,6 +204,7 @@ class SceneRecord(Record):
     tensors: str = TENSOR_FILE
     actors: list[SceneActorRecord]
     cameras: list[str]
+    exposures: list[str] = Field(default_factory=list)
     deformation: str | None = None
     bodies: str | None = None
 
@@ -245,6 +247,9 @@ def save_scene(scene: StreetScene, folder: str | Path) -> None:
     for name, (times, twists) in scene.camera_corrections.items():
         tensors[f"camera/{name}/timestamps_us"] = torch.from_numpy(times)
         tensors[f"camera/{name}/twists"] = torch.from_numpy(twists)
+    for name, (times, affines) in scene.exposures.items():
+        tensors[f"exposure/{name}/timestamps_us"] = torch.from_numpy(times)
+        tensors[f"exposure/{name}/affines"] = torch.from_numpy(affines)
     write_tensors(folder / TENSOR_FILE, tensors, {"version": SCENE_VERSION})
     shaped = {track_id: actor.deformation for track_id, actor in scene.actors.items()}
     deformations = {k: v for k, v in shaped.items() if isinstance(v, Deformation)}
@@ -260,13 +265,14 @@ def save_scene(scene: StreetScene, folder: str | Path) -> None:
         low_pass=scene.low_pass,
         actors=records,
         cameras=list(scene.camera_corrections),
+        exposures=list(scene.exposures),
         deformation=DEFORMATION_FILE if deformations else None,
         bodies=BODIES_FILE if bodies else None,
     )
     values = record.model_dump(mode="json")
-    # What no actor has is not mentioned: earlier releases read it then.
-    for name in ("deformation", "bodies"):
-        if values[name] is None:
+    # What a scene has not is not mentioned: earlier releases read it then.
+    for name in ("deformation", "bodies", "exposures"):
+        if not values[name]:
             del values[name]
     write_json(folder / SCENE_FILE, values)
 
@@ -301,6 +307,13 @@ def load_scene(folder: str | Path) -> StreetScene:
                 tensors.get(f"camera/{name}/twists", torch.float64).numpy(),
             )
             for name in record.cameras
+        },
+        exposures={
+            name: (
+                tensors.get(f"exposure/{name}/timestamps_us", torch.int64).numpy(),
+                tensors.get(f"exposure/{name}/affines", torch.float64).numpy(),
+            )
+            for name in record.exposures
         },
         log_name=record.log_name,
         low_pass=record.low_pass,

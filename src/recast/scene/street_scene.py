@@ -133,6 +133,8 @@ class StreetScene:
             twists (F, 6) (see `recast.scene.street_scene.corrected`).
         log_name: the log it was made from.
         low_pass: filter that the background was made for; each actor has its own.
+        exposures: learned changes of an image's colours by camera, relative to the scene's colours:
+            times (F,) int64 and transforms (F, 3, 4); see `exposure`.
         origin: the folder that it was read from; None for one that was changed or never saved.
     """
 
@@ -143,6 +145,7 @@ class StreetScene:
     camera_corrections: Mapping[str, tuple[Int64Array, Array]] = field(default_factory=dict)
     log_name: str = ""
     low_pass: LowPass = CLASSIC
+    exposures: Mapping[str, tuple[Int64Array, Array]] = field(default_factory=dict)
     origin: Path | None = field(default=None, init=False, compare=False, repr=False)
 
     def validate(self) -> None:
@@ -162,6 +165,13 @@ class StreetScene:
                 raise ValueError(f"{where}: {len(times)} times, twists {twists.shape}")
             if not np.all(np.abs(twists) <= MOST_CORRECTED):  # also NaN
                 raise ValueError(f"{where}: a twist is not finite, or beyond {MOST_CORRECTED:g}")
+        for name, (times, affines) in self.exposures.items():
+            where = f"exposures[{name!r}]"
+            check_times(where, times)
+            if len(times) == 0 or affines.shape != (len(times), 3, 4):
+                raise ValueError(f"{where}: {len(times)} times, transforms {affines.shape}")
+            if not np.all(np.abs(affines) <= MOST_CORRECTED):  # also NaN
+                raise ValueError(f"{where}: a number is not finite, or beyond {MOST_CORRECTED:g}")
 
     def at(self, poses: Mapping[str, Array], timestamp_us: int | None = None) -> Gaussians:
         """Everything drawn when the actors stand at `poses`, in the world frame.
@@ -215,8 +225,24 @@ class StreetScene:
         """A logged camera pose (4, 4) with the learned correction at its time."""
         return corrected(camera_from_world, self.camera_corrections, camera_name, timestamp_us)
 
+    def exposure(self, camera_name: str, timestamp_us: int) -> Tensor | None:
+        """The change (3, 4) of an image's colours by its camera at a time of the recording.
+
+        Interpolated linearly, held before the first and after the last time; None for a camera
+        whose exposure was not learned.
+        """
+        if camera_name not in self.exposures:
+            return None
+        times, affines = self.exposures[camera_name]
+        flat = affines.reshape(len(times), 12)
+        found = [np.interp(timestamp_us, times, flat[:, i]) for i in range(12)]
+        return torch.tensor(found, dtype=torch.float32).view(3, 4)
+
     def exposed(self, affine: Tensor) -> StreetScene:
-        """The scene with the colours' transform (3, 4) in all its parts; the sky in [0, 1]."""
+        """The scene with the colours' transform (3, 4) in all its parts; the sky in [0, 1].
+
+        `exposures` stay what they are.
+        """
         return replace(
             self,
             background=exposed(self.background, affine),
@@ -272,9 +298,11 @@ class SceneRasterizer:
         poses: Mapping[str, Array],
         colours_us: int | None = None,
         shapes_us: int | None = None,
+        exposure: Tensor | None = None,
     ) -> SceneImage:
         """Draw one view; see `render_scene` and `draw`."""
-        drawn = self.draw(camera, camera_from_world, poses, colours_us, shapes_us)
+        moments = colours_us, shapes_us
+        drawn = self.draw(camera, camera_from_world, poses, *moments, exposure=exposure)
         return SceneImage(
             rgb=drawn.rgb.cpu().numpy(),
             depth=drawn.depth.cpu().numpy(),
@@ -289,6 +317,7 @@ class SceneRasterizer:
         colours_us: int | None = None,
         shapes_us: int | None = None,
         window: Window | None = None,
+        exposure: Tensor | None = None,
     ) -> RasterImages:
         """Draw one view and leave it where it was drawn, sky included, rgb in [0, 1].
 
@@ -299,6 +328,7 @@ class SceneRasterizer:
                 for those that they are stored with.
             shapes_us: time of the recording whose shapes deformable actors have, see
                 `SceneActor.shaped_at`.
+            exposure: change (3, 4) of the image's colours, see `StreetScene.exposure`.
         """
         result = self.layer(camera, camera_from_world, poses, colours_us, shapes_us, window=window)
         left, top, right, bottom = window or (0, 0, camera.width, camera.height)
@@ -306,6 +336,8 @@ class SceneRasterizer:
         coordinates = pixel_coordinates(camera, camera_from_world)[top:bottom, left:right]
         with torch.no_grad():
             rgb = composite(result.rgb, result.alpha, self._sky, coordinates)
+            if exposure is not None:
+                rgb = exposed_colours(rgb, exposure.to(rgb))
         return replace(result, rgb=rgb.clamp(0, 1))
 
     def layer(

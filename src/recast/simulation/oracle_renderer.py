@@ -43,6 +43,7 @@ class TrueView(NamedTuple):
     world_from_camera: Array
     poses: Mapping[str, Array]
     step: int
+    timestamp_us: int
     tracks: tuple[str, ...] = ()
     noise: int = 0
 
@@ -54,7 +55,7 @@ class TrueView(NamedTuple):
             self.camera,
             self.world_from_camera,
             self.poses,
-            exposure=oracle.world.exposure(self.exposed_as),
+            exposure=oracle.world.exposure(self.exposed_as, self.timestamp_us),
             rng=np.random.default_rng([*number, self.noise] if self.noise else number),
             **shown,
         )
@@ -105,8 +106,8 @@ class WorldRenderer(MountedRenderer, Closing):
             mount = self._mounts[name]
             place = state.world_from_rig @ mount.rig_from_camera
             exposed_as = name if mount.source is None else mount.source
-            view = TrueView(name, exposed_as, mount.camera, place, state.poses, state.step)
-            found.append(view._replace(tracks=self._tracks, noise=self._noise))
+            seen = name, exposed_as, mount.camera, place, state.poses, state.step
+            found.append(TrueView(*seen, state.timestamp_us, self._tracks, self._noise))
         return found
 
     def close(self) -> None:

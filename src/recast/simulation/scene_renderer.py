@@ -10,6 +10,7 @@ from typing import Any, Protocol
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from torch import Tensor
 
 from recast.actors.actor import LEAST_PIXELS, Coverage
 from recast.arrays import Array, Image
@@ -66,6 +67,7 @@ class SceneRenderer(MountedRenderer):
                 poses,
                 state.timestamp_us,
                 mount.window,
+                self.scene.exposure(mount.source or name, state.timestamp_us),
             )
             images[name] = mount.framed(image)
         return images
@@ -96,14 +98,23 @@ def draw_image(
     poses: Mapping[str, Array],
     timestamp_us: int,
     window: Window | None = None,
+    exposure: Tensor | None = None,
 ) -> Image:
     """An image (height, width, 3) uint8 RGB of a rectified camera; see `SceneRasterizer.draw`.
 
     Args:
         timestamp_us: time of the recording whose shapes deformable actors have.
         window: the part of the image to draw; None for all of it.
+        exposure: change (3, 4) of the image's colours, see `StreetScene.exposure`.
     """
-    drawn = rasterizer.draw(camera, camera_from_world, poses, shapes_us=timestamp_us, window=window)
+    drawn = rasterizer.draw(
+        camera,
+        camera_from_world,
+        poses,
+        shapes_us=timestamp_us,
+        window=window,
+        exposure=exposure,
+    )
     # Quantised where it was drawn: a quarter of the bytes to bring over.
     return (drawn.rgb * 255).round().to(torch.uint8).cpu().numpy()
 

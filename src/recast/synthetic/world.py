@@ -154,8 +154,8 @@ class World:
     conditions: Conditions = "fair"
 
     def exposure(self, camera: str, timestamp_us: int | None = None) -> float:
-        """How much brighter than right a camera's images are; in a simulation, which has no time of
-        the log (None), as on average."""
+        """How much brighter than right a camera's images are, at no time of the log (None) as on
+        average."""
         factor = _EXPOSED.get(self.conditions, 1.0)
         if self.conditions == "varying-exposure" and timestamp_us is not None:
             seconds = (timestamp_us - int(self.ego.timestamps_us[0])) / 1e6
