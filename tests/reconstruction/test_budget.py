@@ -80,6 +80,7 @@ def test_first_points_and_growth_keep_to_the_limit(tiny_log: DrivingLog, tmp_pat
     config = TINY.model_copy(
         update={
             "max_gaussians": most,
+            "unseen_surfaces": False,
             "densify_gradient": 1e-9,
             "densify_growth": 1e3,
             "densify_until": 1.0,
@@ -102,4 +103,6 @@ def test_first_points_and_growth_keep_to_the_limit(tiny_log: DrivingLog, tmp_pat
 
 
 def read_first_count(log: DrivingLog, folder: Path) -> int:
-    return train_scene(log, folder, TINY.model_copy(update={"iterations": 1})).budget.first_found
+    return train_scene(
+        log, folder, TINY.model_copy(update={"iterations": 1, "unseen_surfaces": False})
+    ).budget.first_found

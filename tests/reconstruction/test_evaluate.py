@@ -7,13 +7,17 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import torch
 from PIL import Image
 
 from recast.core.errors import InputError
 from recast.logs import DrivingLog, LidarSweep
 from recast.logs.types import SweepSource
 from recast.reconstruction import SHIFTS, SceneConfig, TrainResult, evaluate_scene, psnr
-from recast.scene import load_scene
+from recast.reconstruction.evaluate import GapMeter
+from recast.reconstruction.settings import INIT
+from recast.reconstruction.views import read_view
+from recast.scene import SceneRasterizer, load_scene
 from support.tiny_street import TINY
 
 
@@ -27,7 +31,7 @@ def test_scores_pictures_and_repeatability(
     assert record["psnr"] == result.psnr and record["ssim"] == result.ssim
     assert 0.5 < result.ssim < 1.0
     assert set(result.box_psnr_by_track()) == {"0", "1"}
-    assert record["version"] == 3 and record["shifts"] == [] and record["lpips"] is None
+    assert record["version"] == 4 and record["shifts"] == [] and record["lpips"] is None
     for frame, written in zip(result.frames, record["frames"], strict=True):
         assert written["psnr"] == frame.whole.psnr and written["ssim"] == frame.whole.ssim
         assert written["boxes"] == frame.boxes
@@ -147,3 +151,28 @@ def test_a_sweep_is_read_once_for_all_cameras(trained: TrainResult, tiny_log: Dr
 def test_nothing_held_out(trained: TrainResult, tiny_log: DrivingLog) -> None:
     with pytest.raises(InputError, match="holdout_every"):
         evaluate_scene(trained.scene, tiny_log, SceneConfig(scale=1.0, holdout_every=0))
+
+
+def test_gaps_are_what_the_log_does_not_show(trained: TrainResult, tiny_log: DrivingLog) -> None:
+    scene = trained.scene
+    assert scene.unseen is not None and scene.sky_seen is not None
+    assert scene.unseen.any() and not scene.unseen.all()
+    opaque = scene.background.logit_opacities[scene.unseen].sigmoid()
+    assert torch.allclose(opaque, torch.tensor(INIT.unseen_opacity))
+    view = read_view(tiny_log, tiny_log.cameras["image_02"], 3, 1.0)
+    everything = torch.ones_like(scene.unseen)
+    surface = SceneRasterizer(replace(scene, actors={})).render(
+        view.camera, view.camera_from_world, {}
+    )
+    solid = float((surface.alpha > 0.5).mean())
+    whole = GapMeter(replace(scene, actors={}, unseen=everything)).measure(view)
+    assert whole is not None and whole.invented == pytest.approx(solid, abs=0.02)
+    no_sky = replace(scene, actors={}, sky_seen=torch.zeros_like(scene.sky_seen))
+    bare = GapMeter(no_sky).measure(view)
+    assert bare is not None and bare.empty == pytest.approx(1 - solid, abs=0.02)
+    seen = GapMeter(scene).measure(view)
+    assert seen is not None and seen.invented < 0.05 and seen.empty < bare.empty
+    assert GapMeter(replace(scene, unseen=None)).measure(view) is None
+    evaluation = evaluate_scene(scene, tiny_log, TINY)
+    assert evaluation.gaps is not None
+    assert evaluation.to_json()["gaps"]["invented"] == evaluation.gaps.invented

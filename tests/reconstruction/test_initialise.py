@@ -4,15 +4,24 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import torch
 
 from recast.core.errors import InputError
 from recast.geometry import boxes, se3
-from recast.logs import DrivingLog, Trajectory
+from recast.logs import DrivingLog, GroundHeight, Trajectory
 from recast.reconstruction.config import SceneConfig
-from recast.reconstruction.first_points import Initialisation, initialise
-from recast.reconstruction.points import depth_samples, read_sweeps
+from recast.reconstruction.first_points import (
+    Initialisation,
+    initialise,
+    sky_cells,
+    unseen_surfaces,
+)
+from recast.reconstruction.points import OwnedSweep, PointCloud, depth_samples, read_sweeps
+from recast.reconstruction.settings import INIT
 from recast.reconstruction.views import TrainingView, choose_actors, modelled_tracks, read_views
+from recast.scene.sky import SkyMap, direction_coordinates
 from recast.scene.street_scene import pose_at, stands
+from recast.splats.gaussians import C0
 from support import tiny_world
 
 CONFIG = SceneConfig(scale=1.0, voxel_m=0.3, sweep_points=1000)
@@ -191,3 +200,46 @@ def test_a_log_without_sweeps_or_parallax(tiny_log: DrivingLog, views: list[Trai
     config = CONFIG.model_copy(update={"sweep_points": 0})
     with pytest.raises(InputError, match="LiDAR: 0 points"):
         initialise(blind, views, {}, config, np.random.default_rng(0))
+
+
+def test_what_no_image_shows_begins_opaque_in_colours_near_by(tiny_log: DrivingLog) -> None:
+    """A wall behind the car: three sweeps hit its left half, two its right one."""
+    start = tiny_log.world_from_rig.poses[0, :3, 3]
+    y, z = np.meshgrid(np.arange(-4, 4, 0.15), np.arange(0, 2, 0.15))
+    wall = np.stack([np.full(y.size, -6.0), y.ravel(), z.ravel()], axis=-1) + start
+    left = (wall[wall[:, 1] > start[1] + 0.3]).astype(np.float32)
+    whole = wall.astype(np.float32)
+    sweeps = [OwnedSweep(time, points, {}) for time, points in enumerate([whole, whole, left])]
+    near = left[:20] + np.float32([0.5, 0, 0])
+    seen = PointCloud(near, np.tile(np.float32([0.8, 0.2, 0.1]), (20, 1)), np.ones(20, np.float32))
+    ground = GroundHeight(start[:2] - 3, 0.3, np.full((20, 20), start[2]))
+    config = CONFIG.model_copy(update={"max_gaussians": 100_000})
+    rng = np.random.default_rng(0)
+    surface, below = unseen_surfaces(tiny_log, sweeps, seen, ground, config, rng)
+    assert 50 < len(surface) < len(left)
+    assert (surface.means[:, 1] > start[1]).all()  # a voxel holds 0.3 m
+    assert np.allclose(surface.means[:, 0], start[0] - 6, atol=1e-4)
+    assert torch.allclose(surface.sh[:, 0] * C0 + 0.5, torch.tensor([0.8, 0.2, 0.1]), atol=1e-5)
+    assert (surface.log_scales.exp() <= INIT.unseen_sigma_m + 1e-5).all()
+    assert len(below) == 400
+    assert np.allclose(below.means[:, 2], start[2] - INIT.unseen_below_m, atol=1e-5)
+    for part in (surface, below):
+        assert torch.allclose(part.logit_opacities.sigmoid(), torch.tensor(INIT.unseen_opacity))
+    few = config.model_copy(update={"max_gaussians": 300})
+    thin, coarse = unseen_surfaces(tiny_log, sweeps, seen, ground, few, rng)
+    assert len(thin) == 50 and len(coarse) == 49
+    (only,) = unseen_surfaces(tiny_log, sweeps[1:], seen, ground, config, rng)
+    assert np.array_equal(only.means, below.means)
+
+
+def test_cells_of_the_sky_that_images_show(views: list[TrainingView]) -> None:
+    sky = SkyMap.constant(torch.full((3,), 0.5))
+    view = views[0]
+    pixels = np.flatnonzero(np.arange(view.camera.height * view.camera.width) < view.camera.width)
+    cells = sky_cells([view], [pixels], sky)
+    rays = view.camera.rays(view.camera.pixel_grid()) @ view.world_from_camera[:3, :3].T
+    place = direction_coordinates(torch.from_numpy(rays).float()).view(*view.image.shape[:2], 2)
+    height, width = cells.shape
+    shown = cells[(place[..., 1] * height).long(), (place[..., 0] * width).long()]
+    assert shown[0].all() and not shown[-1].any()
+    assert cells.float().mean() < 0.05

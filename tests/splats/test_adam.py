@@ -107,6 +107,17 @@ def test_rows_not_visible_stay(backend: str) -> None:
         assert not state[f"first.{name}"][~visible].any()
 
 
+def test_rows_that_moved_are_told() -> None:
+    params = parameters(3)
+    adam = RowAdam(params, RATES)
+    assert not adam.moved.any()
+    give_gradients(params, 1)
+    adam.step(torch.tensor([False, True, False]))
+    assert adam.moved.tolist() == [False, True, False]
+    adam.append(1)
+    assert adam.moved.tolist() == [False, True, False, False]
+
+
 @pytest.mark.usefixtures("compiled")
 def test_parameters_without_gradient_stay() -> None:
     params = parameters(10)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import astuple, dataclass, replace
+from dataclasses import astuple, dataclass
 from typing import Any
 
 import numpy as np
@@ -21,7 +21,7 @@ from recast.geometry import se3
 from recast.logs import Trajectory
 from recast.logs.checks import BOX_SIDE
 from recast.scene import StreetScene
-from recast.scene.actor import SceneActor
+from recast.scene.actor import BLACK, painted, painted_actor
 from recast.scene.light.sun import DIRECTIONS
 from recast.splats import (
     Gaussians,
@@ -31,7 +31,6 @@ from recast.splats import (
     pick_device,
     rasterize_frozen,
 )
-from recast.splats.gaussians import C0
 
 UNEVEN = 1.6
 """Brightness of one side over the other from which on a report says so; cars are painted alike on
@@ -136,16 +135,15 @@ class CoverageMeter:
         place = pick_device(device)
         vehicle = scene.actors[track_id]
         self._track_id, self._standing = track_id, scene.standing
-        coloured = ((shares.columns - 0.5) / C0)[:, None]
-        gaussians = replace(vehicle.gaussians.detach(), sh=coloured)
-        painted = replace(_black_actor(vehicle), gaussians=gaussians)
+        shown = painted_actor(vehicle, shares.columns, BLACK)
+        gaussians = shown.gaussians
         self._means = gaussians.means.to(place)
         self._centre, self._size = _bounds(gaussians)
-        background = _black(scene.background)
+        background = painted(scene.background, BLACK)
         ordered = background.select(morton_order(background.means)).to(place)
         self._street = freeze(ordered, scene.low_pass)
         self._parts = {
-            key: (painted if key == track_id else _black_actor(actor)).frozen(place)
+            key: (shown if key == track_id else painted_actor(actor, BLACK, BLACK)).frozen(place)
             for key, actor in scene.actors.items()
         }
 
@@ -200,17 +198,6 @@ class CoverageMeter:
             parts += [(part, place) for part in self._parts.get(key, ())]
         K = torch.from_numpy(camera.matrix).float()
         return rasterize_frozen(parts, view, K, camera.width, camera.height, far=farthest).rgb
-
-
-def _black(gaussians: Gaussians) -> Gaussians:
-    # Far below black, since colours are clamped at zero.
-    return replace(gaussians.detach(), sh=gaussians.sh.new_full((len(gaussians), 1, 3), -1 / C0))
-
-
-def _black_actor(actor: SceneActor) -> SceneActor:
-    shadow = None if actor.shadow is None else _black(actor.shadow)
-    actor = actor.shaped_at(None)
-    return replace(actor, gaussians=_black(actor.gaussians), shadow=shadow)
 
 
 def _reach(gaussians: Gaussians) -> Tensor:

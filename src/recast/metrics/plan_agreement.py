@@ -29,6 +29,7 @@ from recast.dynamics import state as ego
 from recast.metrics.table import rounded
 from recast.planning import BasePlanner
 from recast.reconstruction.scores import capped_psnr
+from recast.scene.actor import painted, painted_actor
 from recast.scene.street_scene import StreetScene
 from recast.simulation.recorded_drive import (
     DISTURBANCES,
@@ -42,8 +43,6 @@ from recast.simulation.recorded_drive import (
 )
 from recast.simulation.renderer import SensorRenderer
 from recast.simulation.scene_renderer import SceneRenderer, through_lenses
-from recast.splats import Gaussians
-from recast.splats.gaussians import C0
 
 NEAR, MOVED = 0.5, 2.0
 """Metres at 4 s below which two plans are the same, and above which they are not."""
@@ -449,24 +448,11 @@ def _masks_of(scene: StreetScene, track_id: str | None) -> StreetScene:
     def colour(key: str) -> tuple[float, float, float]:
         return vehicle if key == track_id else street
 
-    actors = {}
-    for key, actor in scene.actors.items():
-        shadow = None if actor.shadow is None else painted(actor.shadow, street)
-        actors[key] = replace(
-            actor.shaped_at(None),
-            gaussians=painted(actor.shaped_at(None).gaussians, colour(key)),
-            shadow=shadow,
-            appearance=None,
-            light=None,
-        )
+    actors = {key: painted_actor(actor, colour(key), street) for key, actor in scene.actors.items()}
     black = replace(scene.sky, colours=scene.sky.colours * 0)
-    return replace(scene, background=painted(scene.background, street), actors=actors, sky=black)
-
-
-def painted(gaussians: Gaussians, colour: Sequence[float]) -> Gaussians:
-    """Gaussians of one colour (3,) in [0, 1] from all sides."""
-    sh = (gaussians.means.new_tensor(colour) - 0.5) / C0
-    return replace(gaussians.detach(), sh=sh.expand(len(gaussians), 1, 3).clone())
+    return replace(
+        scene, background=painted(scene.background, street), actors=actors, sky=black, exposures={}
+    )
 
 
 def mixed(part: str, recorded: Images, rendered: Images, masks: Images) -> dict[str, Image]:

@@ -13,6 +13,7 @@ from recast.reconstruction.evaluate import (
     SceneEvaluation,
     ShiftedView,
     ShiftScores,
+    ViewGaps,
     ViewShift,
     evaluate_scene,
 )
@@ -38,6 +39,7 @@ __all__ = [
     "ShiftedView",
     "TrainResult",
     "TrainingStatus",
+    "ViewGaps",
     "ViewShift",
     "evaluate_scene",
     "psnr",

@@ -66,6 +66,7 @@ _RATES: dict[Preset, dict[str, float]] = {
 }
 _OF_BOTH: dict[str, Any] = {
     "low_pass": CLASSIC,
+    "unseen_surfaces": False,
     "sky": "cubemap",
     "sky_loss": "entropy",
     "sky_weight": 0.05,
@@ -234,6 +235,8 @@ class SceneConfig(Record):
     """Voxel of LiDAR points of actors, metres."""
     sweep_points: NonNegativeInt = 50_000
     """Maximum number of points from the plane sweep; 0: none."""
+    unseen_surfaces: bool = True
+    """Whether the street begins with surfaces that the LiDAR met and no image shows, too."""
     sh_degree: Annotated[int, Field(ge=0, le=3)] = 1
     """Degree of the view-dependent colour."""
     max_gaussians: Count | None = None

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import torch
 from numpy.typing import NDArray
 from PIL import Image as PilImage
 
@@ -43,12 +44,15 @@ from recast.reconstruction.views import (
     scaled_camera,
     visible_rectangle,
 )
+from recast.scene.actor import BLACK, painted, painted_actor
+from recast.scene.sky import SkyMap
 from recast.scene.street_scene import SceneImage, SceneRasterizer, StreetScene, pose_at
 
 CAMERA_CLEARANCE_M = 0.3
 """Between a shifted camera and any labelled box."""
-EVALUATION_VERSION = 3
-"""2 has all members of 1, and lpips, moving, depth, shifts and shift_truth; 3 a picture a frame."""
+EVALUATION_VERSION = 4
+"""2 has all members of 1, and lpips, moving, depth, shifts and shift_truth; 3 a picture a frame; 4
+gaps."""
 
 
 @dataclass(frozen=True)
@@ -115,6 +119,21 @@ Truth = Callable[[Sequence[ShiftedView]], Iterator[Image]]
 
 
 @dataclass(frozen=True)
+class ViewGaps:
+    """What a view shows that the log does not.
+
+    Attributes:
+        invented: share of the pixels whose surface no training image showed: the LiDAR met it, or
+            it is a ground assumed under what hid it, in colours of what is near by.
+        empty: share of the pixels with neither a surface nor sky that a training image showed; they
+            have the colour of sky near by.
+    """
+
+    invented: float
+    empty: float
+
+
+@dataclass(frozen=True)
 class ShiftedScore:
     """Scores of one shifted view.
 
@@ -137,11 +156,13 @@ class ShiftScores:
     Attributes:
         frames: scores; none where the truth is not known.
         pictures: files below the evaluation's folder.
+        gaps: mean over images; None for a scene that was imported, which does not tell.
     """
 
     shift: ViewShift
     frames: tuple[ShiftedScore, ...]
     pictures: tuple[str, ...]
+    gaps: ViewGaps | None = None
 
     @property
     def whole(self) -> RegionScore | None:
@@ -214,11 +235,13 @@ class SceneEvaluation:
         frames: held-out images.
         shifts: views beside the drive; none where they were not asked for.
         shift_truth: whether the shifted views were compared with the truth.
+        gaps: mean over the held-out images; None for a scene that was imported.
     """
 
     frames: tuple[FrameScore, ...]
     shifts: tuple[ShiftScores, ...] = ()
     shift_truth: bool = False
+    gaps: ViewGaps | None = None
 
     @property
     def whole(self) -> RegionScore:
@@ -278,6 +301,7 @@ class SceneEvaluation:
             "box_psnr_by_track": self.box_psnr_by_track(),
             "moving": _plain(self.moving),
             "depth": _plain(self.depth),
+            "gaps": _plain(self.gaps),
             "frames": [
                 _frame(frame, picture=picture_name(frame.camera, frame.frame))
                 for frame in self.frames
@@ -293,6 +317,7 @@ def _shift(scores: ShiftScores) -> dict[str, Any]:
         **asdict(scores.shift),
         "whole": _plain(scores.whole),
         "moving": _plain(scores.moving),
+        "gaps": _plain(scores.gaps),
         "frames": [_frame(frame) for frame in scores.frames],
         "pictures": list(scores.pictures),
     }
@@ -304,7 +329,7 @@ def _frame(frame: FrameScore | ShiftedScore, **more: str) -> dict[str, Any]:
     return {**image, **more, **values.pop("whole"), **values}
 
 
-def _plain(score: RegionScore | DepthScore | None) -> dict[str, Any] | None:
+def _plain(score: RegionScore | DepthScore | ViewGaps | None) -> dict[str, Any] | None:
     return None if score is None else asdict(score)
 
 
@@ -355,27 +380,33 @@ def evaluate_scene(
     done = iter(range(1, total + 1))
     scorer = ViewScorer(scene, log, lpips)
     scores = {}
+    gaps = GapMeter(scene)
+    logged_gaps = []
     # In order of time: all cameras of a moment share its sweeps.
     for name, frame in sorted(chosen, key=lambda image: _time(log, image)):
         view = read_view(log, log.cameras[name], frame, config.scale, held_out=True)
         rendered = draw_view(scorer.rasterizer, scene, view)
         scores[name, frame] = scorer.held_out(view, rendered)
+        logged_gaps.append(gaps.measure(view))
         if folder is not None:
             write_comparison(folder / picture_name(name, frame), view, rendered.rgb)
         tell(progress, next(done), total)
     found = []
     for shift, views in zip(shifts, planned, strict=True):
         seen = iter(()) if truth is None else truth(views)
-        frames, pictures = [], []
+        frames, pictures, shifted_gaps = [], [], []
         for shifted in views:
             shown = folder is not None and shifted.timestamp_us in pictured
             score = scorer.shifted(shifted, next(seen, None), folder if shown else None)
             frames += [score] if score is not None else []
+            shifted_gaps.append(gaps.measure(shifted))
             pictures += [shifted.picture] if shown else []
             tell(progress, next(done), total)
-        found.append(ShiftScores(shift, tuple(frames), tuple(pictures)))
+        mean = mean_gaps(shifted_gaps)
+        found.append(ShiftScores(shift, tuple(frames), tuple(pictures), mean))
     frames_scored = tuple(scores[image] for image in chosen)
-    evaluation = SceneEvaluation(frames_scored, tuple(found), bool(found) and truth is not None)
+    compared = bool(found) and truth is not None
+    evaluation = SceneEvaluation(frames_scored, tuple(found), compared, mean_gaps(logged_gaps))
     if folder is not None:
         write_json(folder / EVALUATION_FILE, evaluation.to_json())
     return evaluation
@@ -469,6 +500,40 @@ class ViewScorer:
         region = moving_region(self._moving, view)
         whole, moving = score_regions(rgb, view, region, self._lpips)
         return ShiftedScore(view.camera_name, view.frame, view.timestamp_us, whole, moving)
+
+
+class GapMeter:
+    """Measures what views of one scene show that its log does not."""
+
+    def __init__(self, scene: StreetScene) -> None:
+        self._scene = scene
+        self._rasterizer: SceneRasterizer | None = None
+        if scene.unseen is None or scene.sky_seen is None:
+            return
+        red, green = torch.tensor([1.0, *BLACK[1:]]), torch.tensor([0.0, 1.0, 0.0])
+        marks = torch.where(scene.unseen[:, None], red, torch.tensor(BLACK))
+        self._marked = replace(
+            scene,
+            background=painted(scene.background, marks),
+            actors={k: painted_actor(v, BLACK, BLACK) for k, v in scene.actors.items()},
+            sky=SkyMap((~scene.sky_seen)[..., None] * green),
+            exposures={},
+        )
+        self._rasterizer = SceneRasterizer(self._marked)
+
+    def measure(self, view: TrainingView) -> ViewGaps | None:
+        """Shares of a view's usable pixels; None if the scene does not tell."""
+        if self._rasterizer is None:
+            return None
+        rgb = draw_view(self._rasterizer, self._marked, replace(view, mask=None)).rgb
+        marked = (rgb if view.mask is None else rgb[view.mask]) > 0.5
+        return ViewGaps(float(marked[..., 0].mean()), float(marked[..., 1].mean()))
+
+
+def mean_gaps(several: Sequence[ViewGaps | None]) -> ViewGaps | None:
+    """Mean over views; None where there are none."""
+    found = [(one.invented, one.empty) for one in several if one is not None]
+    return ViewGaps(*np.mean(found, axis=0).tolist()) if found else None
 
 
 def draw_view(rasterizer: SceneRasterizer, scene: StreetScene, view: TrainingView) -> SceneImage:

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import cv2
@@ -12,6 +13,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
+from torch import Tensor
 
 from recast.arrays import Array, Float32Array, Mask
 from recast.core.errors import InputError
@@ -45,11 +47,14 @@ from recast.reconstruction.views import (
     visible_rectangle,
 )
 from recast.scene.actor import with_other_side
-from recast.scene.sky import SkyMap, sky_from_pixels
+from recast.scene.sky import SkyMap, direction_coordinates, sky_from_pixels
 from recast.scene.street_scene import DEFORMABLE, pose_at
 from recast.splats import Gaussians
+from recast.splats import concatenate as joined
 from recast.splats.gaussians import C0
 
+OPAQUE_LOGIT = math.log(INIT.unseen_opacity / (1 - INIT.unseen_opacity))
+"""Of the opacity of what no image shows."""
 _WAYMO = tuple(CAMERA_NAME.names.values())
 """Waymo's cameras by their number in names of files."""
 _FILE = re.compile(r"(\d+)_(.+)\.png", re.IGNORECASE)
@@ -194,7 +199,8 @@ class Initialisation:
         sky_pixels: (S,) int64 flat indices of sure sky pixels, for each training view.
         depths: measured depths of each training view.
         ground: heights of even ground; None without such ground, or where it is left free.
-        found: Gaussians that there would have been without `max_gaussians`.
+        found: Gaussians that there would have been without `max_gaussians`; of what no image shows,
+            those that there are.
     """
 
     background: Gaussians
@@ -258,10 +264,18 @@ def initialise(
         for name, own in clouds_of.items()
         if name not in bodies
     )
-    share = 1.0 if config.max_gaussians is None else INIT.first_share * config.max_gaussians / found
-    found += sum(len(body.vertices) for body in bodies.values())
+    even = _even_ground(log, sweeps)
+    unseen: list[Gaussians] = []
+    if config.unseen_surfaces and len(lidar):
+        unseen = unseen_surfaces(log, sweeps, lidar, even, config, rng)
+    filled = sum(len(part) for part in unseen)
+    share = 1.0
+    if config.max_gaussians is not None:
+        share = (INIT.first_share * config.max_gaussians - filled) / found
+    found += filled + sum(len(body.vertices) for body in bodies.values())
+    seen = gaussians_from_points(thinned(cloud, share, rng), config.sh_degree)
     return Initialisation(
-        background=gaussians_from_points(thinned(cloud, share, rng), config.sh_degree),
+        background=joined([seen, *unseen]),
         actors={
             name: body_gaussians(actors[name], bodies[name], own, config)
             if name in bodies
@@ -271,7 +285,7 @@ def initialise(
         sky=_first_sky(training, skies),
         sky_pixels=[np.flatnonzero(sky) for sky in skies],
         depths=depths,
-        ground=_even_ground(log, sweeps) if config.ground_tolerance_m > 0 else None,
+        ground=even if config.ground_tolerance_m > 0 else None,
         found=found,
     )
 
@@ -284,14 +298,117 @@ def _even_ground(log: DrivingLog, sweeps: Sequence[OwnedSweep]) -> GroundHeight 
     return found if np.isfinite(found.height).any() else None
 
 
+def unseen_surfaces(
+    log: DrivingLog,
+    sweeps: Sequence[OwnedSweep],
+    seen: PointCloud,
+    even: GroundHeight | None,
+    config: SceneConfig,
+    rng: np.random.Generator,
+) -> list[Gaussians]:
+    """Opaque Gaussians where the LiDAR met something that no image shows, and below even ground.
+
+    Without them the sky shows there, to a car that leaves the recorded line. Colours are those of
+    the coloured points near by. What a training view does show is then learned as all else is.
+
+    Args:
+        seen: coloured LiDAR points.
+        even: heights of even ground, if there is any.
+        rng: thins the points where they are too many.
+    """
+    metric = np.array([1, 1, INIT.unseen_upright], np.float32)
+    tree = cKDTree(seen.points * metric)
+    count = min(INIT.unseen_colours, len(seen))
+
+    def coloured(points: Float32Array) -> PointCloud:
+        distance, index = tree.query(points * metric, k=range(1, count + 1))
+        weight = 1 / (distance + 0.1)
+        colours = (seen.colours[index] * weight[..., None]).sum(1) / weight.sum(1, keepdims=True)
+        never = np.full(len(points), np.inf, np.float32)
+        return PointCloud(points, colours.astype(np.float32), never)
+
+    most = math.inf
+    if config.max_gaussians is not None:
+        most = INIT.unseen_share * config.max_gaussians
+    found = []
+    points = _uncoloured(log, sweeps, seen, config.voxel_m)
+    if len(points):
+        cloud = thinned(coloured(points), most / len(points), rng)
+        sizes = (INIT.background_sigma_m[0], INIT.unseen_sigma_m)
+        found.append(_opaque(gaussians_from_points(cloud, config.sh_degree, sizes)))
+    if even is not None:
+        step = 1
+        while np.isfinite(even.height[::step, ::step]).sum() > most:
+            step += 1
+        heights = even.height[::step, ::step]
+        rows, columns = np.nonzero(np.isfinite(heights))
+        level = even.origin + even.cell * step * np.stack([columns, rows], axis=-1)
+        below = heights[rows, columns] - INIT.unseen_below_m
+        grid = np.column_stack([level, below]).astype(np.float32)
+        found.append(_opaque(gaussians_from_points(coloured(grid), config.sh_degree)))
+    return found
+
+
+def _uncoloured(
+    log: DrivingLog, sweeps: Sequence[OwnedSweep], seen: PointCloud, voxel_m: float
+) -> Float32Array:
+    """Points (N, 3) near the drive, one a voxel, that several sweeps hit and no coloured one is
+    near: what moves without a label is hit in one place by few."""
+    path = cKDTree(log.world_from_rig.poses[:, :2, 3])
+    corner = log.world_from_rig.poses[:, :3, 3].min(axis=0) - 2 * INIT.street_reach_m
+    bits = np.array([1 << 42, 1 << 21, 1], np.int64)
+    found, voxels = [np.zeros((0, 3), np.float32)], [np.zeros(0, np.int64)]
+    for sweep in sweeps:
+        away, _ = path.query(sweep.background[:, :2], distance_upper_bound=INIT.street_reach_m)
+        points = sweep.background[np.isfinite(away)]
+        cells = np.floor((points - corner) / voxel_m).astype(np.int64).clip(0, (1 << 21) - 1)
+        own, first = np.unique(cells @ bits, return_index=True)
+        found.append(points[first])
+        voxels.append(own)
+    _, first, hits = np.unique(np.concatenate(voxels), return_index=True, return_counts=True)
+    points = np.concatenate(found)[first[hits >= INIT.unseen_sweeps]]
+    if len(points) == 0:
+        return points
+    away, _ = cKDTree(seen.points).query(points)
+    return np.asarray(points[away > voxel_m], np.float32)
+
+
+def _opaque(gaussians: Gaussians) -> Gaussians:
+    return replace(gaussians, logit_opacities=torch.full((len(gaussians),), OPAQUE_LOGIT))
+
+
 def _first_sky(views: Sequence[TrainingView], skies: Sequence[Mask]) -> SkyMap:
     directions, colours = [], []
     for view, sky in zip(views, skies, strict=True):
         rows, columns = np.nonzero(sky)
-        rays = view.camera.rays(np.stack([columns, rows], axis=-1) + 0.5)
-        directions.append((rays @ view.world_from_camera[:3, :3].T).astype(np.float32))
+        directions.append(_directions(view, rows, columns))
         colours.append(view.image[rows, columns].astype(np.float32) / 255)
     return sky_from_pixels(np.concatenate(directions), np.concatenate(colours))
+
+
+def _directions(view: TrainingView, rows: NDArray[np.int64], columns: NDArray[np.int64]) -> Array:
+    rays = view.camera.rays(np.stack([columns, rows], axis=-1) + 0.5)
+    directions: Array = (rays @ view.world_from_camera[:3, :3].T).astype(np.float32)
+    return directions
+
+
+def sky_cells(
+    views: Sequence[TrainingView], sky_pixels: Sequence[NDArray[np.int64]], sky: SkyMap
+) -> Tensor:
+    """Cells (h, w) bool of a sky map that training images show, and those beside them.
+
+    Args:
+        sky_pixels: flat indices of sure sky pixels of each view.
+    """
+    height, width = sky.colours.shape[:2]
+    seen = np.zeros((height, width), np.uint8)
+    for view, pixels in zip(views, sky_pixels, strict=True):
+        directions = _directions(view, *np.divmod(pixels, view.camera.width))
+        place = direction_coordinates(torch.from_numpy(directions)).numpy()
+        column, row = (place * [width, height]).astype(np.int64).T
+        seen[row.clip(max=height - 1), column.clip(max=width - 1)] = 1
+    # The guess errs on the small side, and pixels may lie farther apart than cells.
+    return torch.from_numpy(cv2.dilate(seen, np.ones((5, 5), np.uint8)) > 0)
 
 
 def pixel_colours(view: TrainingView, uv: Float32Array) -> Float32Array:

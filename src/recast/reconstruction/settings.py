@@ -74,6 +74,24 @@ class InitialisationSettings:
     fewest_points: int = 100
     """With fewer points in view there is no street to train."""
 
+    # Surfaces that no image shows. Chosen on `urban-straight` 51 and `suburban-curve` 52.
+    unseen_sweeps: int = 3
+    """Least number of sweeps that hit a voxel of which no image shows a point. Not tried."""
+    unseen_sigma_m: float = 0.3
+    """Largest standard deviation along a surface, metres: with 3 m they cover what is seen."""
+    unseen_opacity: float = 0.95
+    """Opacity of what no image shows. Not tried."""
+    unseen_below_m: float = 0.3
+    """Depth of the ground below even ground, metres. Gaussians are sorted by their centres: at 3 cm
+    it shows through the road (1 dB), at 20 cm still (0.2 dB)."""
+    unseen_colours: int = 8
+    """Number of coloured points whose colours it gets. Not tried."""
+    unseen_upright: float = 3.0
+    """Factor of differences in height where these are looked for: a wall's foot is no road. Not
+    tried."""
+    unseen_share: float = 1 / 6
+    """Share of the limit that each of both kinds may take. Not tried."""
+
     # Plane sweep (Collins 1996).
     sweep_stride: int = 3
     """Every n-th view of a camera is swept: its neighbours see nearly the same."""

@@ -23,7 +23,7 @@ from recast.reconstruction.densify import (
     reset_opacities,
     rows,
 )
-from recast.reconstruction.first_points import Initialisation
+from recast.reconstruction.first_points import OPAQUE_LOGIT, Initialisation, sky_cells
 from recast.reconstruction.losses import LOSS_TERMS, Drawing, DrawnView, Span, total_loss
 from recast.reconstruction.settings import (
     FLIPS,
@@ -122,6 +122,7 @@ class Trainer:
             self._sheet = GroundSheet(start.ground, config.ground_tolerance_m, self.device)
             self._sheet.settle(self.model.background)
         self.sky = make_sky(config, start.sky)
+        self._sky_seen = sky_cells(self._views, start.sky_pixels, self.sky.sky_map())
         self.sky.table.to(self.device)
         self.limited_from: int | None = None
         self.limited_changes = 0
@@ -268,15 +269,24 @@ class Trainer:
 
     def scene(self, log: DrivingLog) -> StreetScene:
         """The scene as it stands, copied to the CPU; its colours have the mean exposure."""
+        unseen = ~self.model.background_adam.moved.to("cpu")
+        background = copy(self.model.background).to("cpu")
+        if self.config.unseen_surfaces:
+            background = replace(
+                background,
+                logit_opacities=torch.where(unseen, OPAQUE_LOGIT, background.logit_opacities),
+            )
         shapes = self.deformable.learned() | {k: v.skinning for k, v in self._bodies.items()}
         scene = StreetScene(
-            background=copy(self.model.background).to("cpu"),
+            background=background,
             actors={name: self._actor(name, shapes.get(name)) for name in self.model.track_ids},
             sky=self.sky.sky_map(),
             world_offset=log.world_offset,
             camera_corrections=self.camera_poses.corrections(self._views),
             log_name=log.name,
             low_pass=self.config.low_pass,
+            unseen=unseen,
+            sky_seen=self._sky_seen,
         )
         if not self._exposes():
             return scene

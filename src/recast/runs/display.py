@@ -37,6 +37,7 @@ from recast.reconstruction import (
     SceneConfig,
     SceneEvaluation,
     ShiftedView,
+    ShiftScores,
     TrainingStatus,
     evaluate_scene,
     read_training_config,
@@ -276,9 +277,9 @@ def evaluate_and_print(
             progress=progress,
         )
     console.print(evaluation_table(evaluation))
-    if evaluation.shift_truth:
+    if evaluation.shifts:
         console.print(shift_table(evaluation))
-    elif evaluation.shifts:
+    if evaluation.shifts and not evaluation.shift_truth:
         console.print("shifted views: there is no ground truth, so they are images without scores")
     console.print(f"images: {out}", markup=False)
     return evaluation
@@ -311,19 +312,33 @@ def evaluation_table(evaluation: SceneEvaluation) -> Table:
 
 
 def shift_table(evaluation: SceneEvaluation) -> Table:
-    """Views beside the drive against the truth, a line for each shift of the ego."""
-    with_lpips = evaluation.lpips is not None
-    table = _table("views beside the drive, against the truth", "ego", with_lpips)
-    table.add_column("PSNR* dB")
-    table.add_column("SSIM*")
+    """Views as logged and beside the drive, a line for each shift of the ego: against the truth,
+    where it is known, and what they show that the log does not."""
+    with_lpips = evaluation.lpips is not None and evaluation.shift_truth
+    compared = evaluation.shift_truth
+    table = Table(title="views beside the drive", title_justify="left", box=SIMPLE_HEAD)
+    names = ["ego", *(["n", "PSNR dB", "SSIM"] if compared else [])]
+    names += [*(["LPIPS"] if with_lpips else []), *(["PSNR*", "SSIM*"] if compared else [])]
+    for heading in (*names, "invented %", "empty %"):
+        table.add_column(heading)
+    scored = _cells(evaluation.whole, with_lpips) if compared else []
+    number = [str(len(evaluation.frames))] if compared else []
+    table.add_row("logged", *number, *scored, *(["", ""] if compared else []), *_gaps(evaluation))
     for scores in evaluation.shifts:
-        if scores.whole is None:
-            continue
-        moving = ("", "") if scores.moving is None else _cells(scores.moving, False)
-        cells = _cells(scores.whole, with_lpips)
-        table.add_row(scores.shift.name, str(len(scores.frames)), *cells, *moving)
-    table.caption, table.caption_justify = "* of moving objects: boxes, l and w x1.5", "left"
+        cells = []
+        if scores.whole is not None:
+            moving = ["", ""] if scores.moving is None else _cells(scores.moving, False)
+            cells = [str(len(scores.frames)), *_cells(scores.whole, with_lpips), *moving]
+        table.add_row(scores.shift.name, *cells, *_gaps(scores))
+    notes = ["* of moving objects: boxes, l and w x1.5"] if compared else []
+    notes += ["invented: surfaces that no image shows; empty: neither surface nor seen sky"]
+    table.caption, table.caption_justify = "\n".join(notes), "left"
     return table
+
+
+def _gaps(of: SceneEvaluation | ShiftScores) -> list[str]:
+    gaps = of.gaps
+    return ["", ""] if gaps is None else [f"{100 * gaps.invented:.2f}", f"{100 * gaps.empty:.2f}"]
 
 
 def _table(title: str, first: str, with_lpips: bool) -> Table:

@@ -31,7 +31,7 @@ from recast.metrics.trust import (
     trust_features,
 )
 from recast.planning import ShownView
-from recast.reconstruction.evaluate import EVALUATION_VERSION
+from recast.reconstruction.evaluate import EVALUATION_VERSION, ViewGaps
 from recast.reconstruction.scores import DepthScore, RegionScore
 from recast.runs.arms import Arm, under_other_noise
 from recast.runs.config import RunConfig
@@ -288,6 +288,7 @@ class _Evaluation(_Open):
     box_psnr_by_track: dict[str, float]
     moving: RegionScore | None
     depth: DepthScore | None
+    gaps: ViewGaps | None
     frames: list[_Frame]
 
 

@@ -148,6 +148,30 @@ def exposed(gaussians: Gaussians, affine: Tensor) -> Gaussians:
     return replace(gaussians, sh=torch.cat([constant, sh[:, 1:]], dim=1))
 
 
+BLACK = (-0.5, -0.5, -0.5)
+"""Far below black, since colours are clamped at zero: no rounding makes it shine."""
+
+
+def painted(gaussians: Gaussians, colour: Sequence[float] | Tensor) -> Gaussians:
+    """Gaussians of one colour (3,), or of one each (N, 3), in [0, 1] from all sides."""
+    sh = (torch.as_tensor(colour).to(gaussians.means) - 0.5) / C0
+    return replace(gaussians.detach(), sh=sh.expand(len(gaussians), 3)[:, None].clone())
+
+
+def painted_actor(
+    actor: SceneActor, colour: Sequence[float] | Tensor, shadow: Sequence[float]
+) -> SceneActor:
+    """An actor of one colour, rigid and in no light, with a shadow of another; see `painted`."""
+    actor = actor.shaped_at(None)
+    return replace(
+        actor,
+        gaussians=painted(actor.gaussians, colour),
+        shadow=None if actor.shadow is None else painted(actor.shadow, shadow),
+        appearance=None,
+        light=None,
+    )
+
+
 PLACE_M, TURN = 0.1, 0.005
 """Grid on which light is worked out: metres, and a quaternion's components (half a degree)."""
 _DISTANCE = 2.1  # of the camera that goes around, in diagonals of the box

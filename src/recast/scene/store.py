@@ -43,6 +43,7 @@ _BODY_TYPES = {
 SCENE_VERSION = 1
 SCENE_FILE = "scene.json"
 TENSOR_FILE = "scene.safetensors"
+_MARKS = ("unseen", "sky_seen")
 _MEND = "train the scene again, or use the release that wrote it"
 
 
@@ -250,6 +251,8 @@ def save_scene(scene: StreetScene, folder: str | Path) -> None:
     for name, (times, affines) in scene.exposures.items():
         tensors[f"exposure/{name}/timestamps_us"] = torch.from_numpy(times)
         tensors[f"exposure/{name}/affines"] = torch.from_numpy(affines)
+    marks = {name: getattr(scene, name) for name in _MARKS}
+    tensors |= {name: mark for name, mark in marks.items() if mark is not None}
     write_tensors(folder / TENSOR_FILE, tensors, {"version": SCENE_VERSION})
     shaped = {track_id: actor.deformation for track_id, actor in scene.actors.items()}
     deformations = {k: v for k, v in shaped.items() if isinstance(v, Deformation)}
@@ -315,6 +318,7 @@ def load_scene(folder: str | Path) -> StreetScene:
             )
             for name in record.exposures
         },
+        **{name: tensors.get(name, torch.bool) for name in _MARKS if name in tensors},
         log_name=record.log_name,
         low_pass=record.low_pass,
     )

@@ -135,6 +135,9 @@ class StreetScene:
         low_pass: filter that the background was made for; each actor has its own.
         exposures: learned changes of an image's colours by camera, relative to the scene's colours:
             times (F,) int64 and transforms (F, 3, 4); see `exposure`.
+        unseen: (N,) bool, Gaussians of the background that no training image showed; None where
+            that is not known.
+        sky_seen: (h, w) bool, cells of the sky map that images showed; None likewise.
         origin: the folder that it was read from; None for one that was changed or never saved.
     """
 
@@ -146,6 +149,8 @@ class StreetScene:
     log_name: str = ""
     low_pass: LowPass = CLASSIC
     exposures: Mapping[str, tuple[Int64Array, Array]] = field(default_factory=dict)
+    unseen: Tensor | None = None
+    sky_seen: Tensor | None = None
     origin: Path | None = field(default=None, init=False, compare=False, repr=False)
 
     def validate(self) -> None:
@@ -172,6 +177,12 @@ class StreetScene:
                 raise ValueError(f"{where}: {len(times)} times, transforms {affines.shape}")
             if not np.all(np.abs(affines) <= MOST_CORRECTED):  # also NaN
                 raise ValueError(f"{where}: a number is not finite, or beyond {MOST_CORRECTED:g}")
+        for where, marks, shape in (
+            ("unseen", self.unseen, (len(self.background),)),
+            ("sky_seen", self.sky_seen, tuple(self.sky.colours.shape[:2])),
+        ):
+            if marks is not None and (marks.dtype != torch.bool or tuple(marks.shape) != shape):
+                raise ValueError(f"{where}: {marks.dtype} {tuple(marks.shape)}, not bool {shape}")
 
     def at(self, poses: Mapping[str, Array], timestamp_us: int | None = None) -> Gaussians:
         """Everything drawn when the actors stand at `poses`, in the world frame.

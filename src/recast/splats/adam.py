@@ -189,6 +189,12 @@ class RowAdam:
         )
         del held
 
+    @property
+    def moved(self) -> Tensor:
+        """Rows (N,) bool that have moved since they came."""
+        seconds = [m[:, None].flatten(1) for m in self._second.values()]
+        return torch.cat(seconds, dim=1).any(dim=1)
+
     def select(self, index: Tensor) -> None:
         """Keep the moments of the rows at `index` ((M,) int64 or (N,) bool), in that order.
 

@@ -32,7 +32,7 @@ from recast.simulation.scenario import (
 
 if TYPE_CHECKING:
     from recast.logs import DrivingLog
-    from recast.reconstruction import RegionScore, SceneEvaluation
+    from recast.reconstruction import RegionScore, SceneEvaluation, ViewGaps
     from recast.reporting.previews import ScenarioFacts
     from recast.scene.exchange import ImportRecord
     from recast.simulation import PreparedRollout, RolloutSetup
@@ -262,6 +262,7 @@ def evaluation_rows(evaluation: SceneEvaluation) -> Rows:
         {
             **_region("whole image", len(one.frames), one.whole),
             "shift": one.shift.name,
+            **_gaps(one.gaps),
             "pictures": one.pictures,
         }
         for one in evaluation.shifts
@@ -269,8 +270,14 @@ def evaluation_rows(evaluation: SceneEvaluation) -> Rows:
     return {
         "held_out_images": regions,
         "depth": [] if depth is None else [_depth(depth)],
+        "gaps": [_gaps(evaluation.gaps)],
         "novel_views": shifts,
     }
+
+
+def _gaps(gaps: ViewGaps | None) -> dict[str, float | None]:
+    invented, empty = (None, None) if gaps is None else (100 * gaps.invented, 100 * gaps.empty)
+    return {"invented_percent": invented, "empty_percent": empty}
 
 
 def _region(name: str, images: int, score: RegionScore | None) -> dict[str, Any]:
