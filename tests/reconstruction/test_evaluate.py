@@ -14,10 +14,10 @@ from recast.core.errors import InputError
 from recast.logs import DrivingLog, LidarSweep
 from recast.logs.types import SweepSource
 from recast.reconstruction import SHIFTS, SceneConfig, TrainResult, evaluate_scene, psnr
-from recast.reconstruction.evaluate import GapMeter
 from recast.reconstruction.settings import INIT
 from recast.reconstruction.views import read_view
-from recast.scene import SceneRasterizer, load_scene
+from recast.scene import SceneRasterizer, StreetScene, load_scene
+from recast.scene.street_scene import GapMeter, ViewGaps
 from support.tiny_street import TINY
 
 
@@ -165,14 +165,17 @@ def test_gaps_are_what_the_log_does_not_show(trained: TrainResult, tiny_log: Dri
         view.camera, view.camera_from_world, {}
     )
     solid = float((surface.alpha > 0.5).mean())
-    whole = GapMeter(replace(scene, actors={}, unseen=everything)).measure(view)
+
+    def gaps(of: StreetScene) -> ViewGaps | None:
+        return GapMeter(of).measure(view.camera, view.camera_from_world, {})
+
+    whole = gaps(replace(scene, actors={}, unseen=everything))
     assert whole is not None and whole.invented == pytest.approx(solid, abs=0.02)
-    no_sky = replace(scene, actors={}, sky_seen=torch.zeros_like(scene.sky_seen))
-    bare = GapMeter(no_sky).measure(view)
+    bare = gaps(replace(scene, actors={}, sky_seen=torch.zeros_like(scene.sky_seen)))
     assert bare is not None and bare.empty == pytest.approx(1 - solid, abs=0.02)
-    seen = GapMeter(scene).measure(view)
+    seen = gaps(scene)
     assert seen is not None and seen.invented < 0.05 and seen.empty < bare.empty
-    assert GapMeter(replace(scene, unseen=None)).measure(view) is None
+    assert gaps(replace(scene, unseen=None)) is None
     evaluation = evaluate_scene(scene, tiny_log, TINY)
     assert evaluation.gaps is not None
     assert evaluation.to_json()["gaps"]["invented"] == evaluation.gaps.invented

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pyarrow as pa
@@ -15,9 +16,16 @@ from recast.actors.actor import NOTHING, Coverage
 from recast.cameras import CameraMount, PinholeCamera
 from recast.core.errors import InputError
 from recast.geometry import se3
+from recast.scene.street_scene import ViewGaps
 from recast.simulation import MOTIONS, RolloutSetup
 from recast.simulation.rollout_files import load_coverage, save_coverage
-from recast.simulation.scene_renderer import ImageCoverage, RolloutCoverage, rollout_coverage
+from recast.simulation.scene_renderer import (
+    GAPS_EVERY,
+    ImageCoverage,
+    RolloutCoverage,
+    rollout_coverage,
+    rollout_gaps,
+)
 from support.box_world import CAMERA, MOUNTS, box_log, parked_at
 from support.made_up_rollouts import make_rollout
 
@@ -78,6 +86,45 @@ def test_every_image_at_a_plan_step_is_measured_once() -> None:
         np.testing.assert_allclose(camera_from_world @ world_from_camera, np.eye(4), atol=1e-12)
         assert set(poses) == {"7", "p"}
         np.testing.assert_array_equal(poses["7"], rollout.world_from_actor[image.step])
+
+
+class Brightening:
+    """A meter of gaps: the more, the farther the camera has come."""
+
+    def measure(
+        self,
+        camera: PinholeCamera,
+        camera_from_world: np.ndarray,
+        poses: Mapping[str, np.ndarray],
+        usable: np.ndarray | None = None,
+    ) -> ViewGaps | None:
+        assert camera == CAMERA and set(poses) == {"7", "p"}
+        metres = float(se3.inverse(camera_from_world)[0, 3])
+        return ViewGaps(metres / 1000, 0.0 if usable is None else 0.5)
+
+
+class Silent:
+    def measure(self, *arguments: object) -> None:
+        pass
+
+
+def test_gaps_are_those_of_the_planners_images() -> None:
+    rollout, log = make_rollout(steps=60), box_log(parked_at(20.0, 5.0))
+    seen = np.zeros((CAMERA.height, CAMERA.width), np.bool_)
+    mounts = {**MOUNTS, "virtual": replace(MOUNTS["front"], seen=seen)}
+    setup = RolloutSetup(log, "7", MOTIONS["stationary-a"], keep_other_actors=True)
+    meter: Any = Brightening()
+    found = rollout_gaps(rollout, setup, meter, mounts, ("virtual", "front"))
+    assert found is not None
+    steps = rollout.plan_steps[::GAPS_EVERY]
+    places = (rollout.world_from_rig[steps] @ MOUNTS["front"].rig_from_camera)[:, 0, 3]
+    assert found.mean.invented == pytest.approx(places.mean() / 1000)
+    assert found.mean.empty == pytest.approx(0.25)
+    assert found.worst.invented == pytest.approx(places.max() / 1000)
+    assert found.worst_s == pytest.approx(steps[places.argmax()] * rollout.dt)
+    silent: Any = Silent()
+    assert rollout_gaps(rollout, setup, silent, mounts, ("front",)) is None
+    assert rollout_gaps(rollout, setup, meter, mounts, ()) is None
 
 
 def test_means_over_images_and_steps() -> None:

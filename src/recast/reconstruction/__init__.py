@@ -13,7 +13,6 @@ from recast.reconstruction.evaluate import (
     SceneEvaluation,
     ShiftedView,
     ShiftScores,
-    ViewGaps,
     ViewShift,
     evaluate_scene,
 )
@@ -39,7 +38,6 @@ __all__ = [
     "ShiftedView",
     "TrainResult",
     "TrainingStatus",
-    "ViewGaps",
     "ViewShift",
     "evaluate_scene",
     "psnr",

@@ -11,7 +11,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import torch
 from numpy.typing import NDArray
 from PIL import Image as PilImage
 
@@ -44,9 +43,14 @@ from recast.reconstruction.views import (
     scaled_camera,
     visible_rectangle,
 )
-from recast.scene.actor import BLACK, painted, painted_actor
-from recast.scene.sky import SkyMap
-from recast.scene.street_scene import SceneImage, SceneRasterizer, StreetScene, pose_at
+from recast.scene.street_scene import (
+    GapMeter,
+    SceneImage,
+    SceneRasterizer,
+    StreetScene,
+    ViewGaps,
+    pose_at,
+)
 
 CAMERA_CLEARANCE_M = 0.3
 """Between a shifted camera and any labelled box."""
@@ -116,21 +120,6 @@ class ShiftedView(TrainingView):
 
 Truth = Callable[[Sequence[ShiftedView]], Iterator[Image]]
 """What the cameras of shifted views truly see: (H, W, 3) uint8 each, in their order."""
-
-
-@dataclass(frozen=True)
-class ViewGaps:
-    """What a view shows that the log does not.
-
-    Attributes:
-        invented: share of the pixels whose surface no training image showed: the LiDAR met it, or
-            it is a ground assumed under what hid it, in colours of what is near by.
-        empty: share of the pixels with neither a surface nor sky that a training image showed; they
-            have the colour of sky near by.
-    """
-
-    invented: float
-    empty: float
 
 
 @dataclass(frozen=True)
@@ -387,7 +376,7 @@ def evaluate_scene(
         view = read_view(log, log.cameras[name], frame, config.scale, held_out=True)
         rendered = draw_view(scorer.rasterizer, scene, view)
         scores[name, frame] = scorer.held_out(view, rendered)
-        logged_gaps.append(gaps.measure(view))
+        logged_gaps.append(_gaps(gaps, scene, view))
         if folder is not None:
             write_comparison(folder / picture_name(name, frame), view, rendered.rgb)
         tell(progress, next(done), total)
@@ -399,14 +388,14 @@ def evaluate_scene(
             shown = folder is not None and shifted.timestamp_us in pictured
             score = scorer.shifted(shifted, next(seen, None), folder if shown else None)
             frames += [score] if score is not None else []
-            shifted_gaps.append(gaps.measure(shifted))
+            shifted_gaps.append(_gaps(gaps, scene, shifted))
             pictures += [shifted.picture] if shown else []
             tell(progress, next(done), total)
-        mean = mean_gaps(shifted_gaps)
+        mean = ViewGaps.mean(shifted_gaps)
         found.append(ShiftScores(shift, tuple(frames), tuple(pictures), mean))
     frames_scored = tuple(scores[image] for image in chosen)
     compared = bool(found) and truth is not None
-    evaluation = SceneEvaluation(frames_scored, tuple(found), compared, mean_gaps(logged_gaps))
+    evaluation = SceneEvaluation(frames_scored, tuple(found), compared, ViewGaps.mean(logged_gaps))
     if folder is not None:
         write_json(folder / EVALUATION_FILE, evaluation.to_json())
     return evaluation
@@ -502,38 +491,9 @@ class ViewScorer:
         return ShiftedScore(view.camera_name, view.frame, view.timestamp_us, whole, moving)
 
 
-class GapMeter:
-    """Measures what views of one scene show that its log does not."""
-
-    def __init__(self, scene: StreetScene) -> None:
-        self._scene = scene
-        self._rasterizer: SceneRasterizer | None = None
-        if scene.unseen is None or scene.sky_seen is None:
-            return
-        red, green = torch.tensor([1.0, *BLACK[1:]]), torch.tensor([0.0, 1.0, 0.0])
-        marks = torch.where(scene.unseen[:, None], red, torch.tensor(BLACK))
-        self._marked = replace(
-            scene,
-            background=painted(scene.background, marks),
-            actors={k: painted_actor(v, BLACK, BLACK) for k, v in scene.actors.items()},
-            sky=SkyMap((~scene.sky_seen)[..., None] * green),
-            exposures={},
-        )
-        self._rasterizer = SceneRasterizer(self._marked)
-
-    def measure(self, view: TrainingView) -> ViewGaps | None:
-        """Shares of a view's usable pixels; None if the scene does not tell."""
-        if self._rasterizer is None:
-            return None
-        rgb = draw_view(self._rasterizer, self._marked, replace(view, mask=None)).rgb
-        marked = (rgb if view.mask is None else rgb[view.mask]) > 0.5
-        return ViewGaps(float(marked[..., 0].mean()), float(marked[..., 1].mean()))
-
-
-def mean_gaps(several: Sequence[ViewGaps | None]) -> ViewGaps | None:
-    """Mean over views; None where there are none."""
-    found = [(one.invented, one.empty) for one in several if one is not None]
-    return ViewGaps(*np.mean(found, axis=0).tolist()) if found else None
+def _gaps(meter: GapMeter, scene: StreetScene, view: TrainingView) -> ViewGaps | None:
+    pose = scene.corrected_camera(view.camera_from_world, view.camera_name, view.timestamp_us)
+    return meter.measure(view.camera, pose, scene.actor_poses(view.timestamp_us), view.mask)
 
 
 def draw_view(rasterizer: SceneRasterizer, scene: StreetScene, view: TrainingView) -> SceneImage:

@@ -16,7 +16,7 @@ from recast.logs.hdmap import HdMap
 from recast.metrics import OracleViews, RolloutMetrics
 from recast.metrics.trust import RolloutTrust
 from recast.simulation.rollout import Rollout, RolloutFailure
-from recast.simulation.scene_renderer import RolloutCoverage
+from recast.simulation.scene_renderer import RolloutCoverage, RolloutGaps
 
 Picture = Path | NDArray[np.uint8]
 """A PNG or JPEG file, or (H, W, 3) RGB or (H, W, 4) RGBA uint8."""
@@ -161,6 +161,8 @@ class RolloutPart:
         rollout: its states, the failure that ended it, or why there is none.
         films: camera name to film of what the planner saw, one frame a step.
         coverage: what of the actor its cameras showed; None for an actor without shares.
+        gaps: what its images showed that the log does not; None for the truth, or if it is not
+            known.
         trust: how far to trust its verdict; None for the truth, or if it is not known.
     """
 
@@ -169,6 +171,7 @@ class RolloutPart:
     metrics: RolloutMetrics | NotMade = NOT_MADE
     films: Mapping[str, Path] | NotMade = NOT_MADE
     coverage: RolloutCoverage | None = None
+    gaps: RolloutGaps | None = None
     trust: RolloutTrust | None = None
 
 

@@ -362,6 +362,7 @@ def checks(run: ReportInputs) -> tuple[Check, ...]:
         found.extend(_beyond_the_log(run.truth))
     if not isinstance(run.scenarios, NotMade):
         found.extend(_invented(coverage_lines(run.scenarios, run.arms)))
+        found.extend(_gaps(run.scenarios))
         found.extend(_trust(run.scenarios))
     if not isinstance(run.hd_map, NotMade):
         derived = run.hd_map.derived
@@ -406,6 +407,24 @@ def _invented(lines: Sequence[CoverageLine]) -> tuple[Check, ...]:
     if len(shares) > 1:
         text += f" to {max(shares):.0%} by rollout"
     return (Check("Invented share of the visible actor", text, "little; see Actor", "plain"),)
+
+
+FEW_GAPS, MANY_GAPS = 0.02, 0.1
+"""Shares of the planner's images, at the worst moment, up to which gaps are few, and from which on
+they are many. By eye; what they do to verdicts is not measured."""
+
+
+def _gaps(scenarios: Sequence[ScenarioPart]) -> tuple[Check, ...]:
+    """The largest share of the planner's images that the log does not show."""
+    shown = [p.gaps for one in scenarios for p in one.rollouts if p.gaps is not None]
+    if not shown:
+        return ()
+    one = max(shown, key=lambda gaps: gaps.worst.invented + gaps.worst.empty)
+    share = one.worst.invented + one.worst.empty
+    text = f"{share:.1%} ({one.worst.empty:.1%} empty), {one.worst_s:.1f} s after the start"
+    tone: Tone = "good" if share <= FEW_GAPS else "warn" if share < MANY_GAPS else "bad"
+    wanted = f"up to {FEW_GAPS:.0%}; where the ego leaves its recorded line, there is more"
+    return (Check("Street that no image shows, at most", text, wanted, tone),)
 
 
 def _trust(scenarios: Sequence[ScenarioPart]) -> tuple[Check, ...]:

@@ -275,11 +275,12 @@ class Artefacts:
         setup = self.setup(motion, arm)
 
         def make(out: Path) -> None:
-            renderer = meter = None
+            renderer = meter = gap_meter = None
             if looks:
                 mounts = self.mounts(planner)
                 renderer = self.renderers.of(arm, tracks, planner, mounts)
                 meter = self.renderers.meter(arm, tracks)
+                gap_meter = self.renderers.gap_meter(arm, tracks)
             steps = self.possible_steps.get(motion, config.steps)
             with ProgressBar("steps", self.console, steps) as progress:
                 make_rollout(
@@ -291,6 +292,7 @@ class Artefacts:
                     config.films,
                     timings,
                     meter,
+                    gap_meter,
                 )
 
         title = f"rollout {motion}, {planner}, {arm.name}"

@@ -273,7 +273,8 @@ class GatheredRun:
             return RolloutPart(arm.name, found, NotMade(found.reason), NotMade(found.reason))
         metrics, shown = found.metrics, films(found.folder)
         trust = self.trust.of(found)
-        return RolloutPart(arm.name, metrics.rollout, metrics, shown, found.coverage, trust)
+        measured = found.coverage, found.gaps, trust
+        return RolloutPart(arm.name, metrics.rollout, metrics, shown, *measured)
 
     def _scene(self, arm: Arm) -> ScenePart | NotMade:
         scene, scores = (self._find(use_name(what, arm.street)) for what in ("scene", "evaluation"))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 from collections.abc import Callable, Mapping
 from contextlib import ExitStack
-from dataclasses import replace
+from dataclasses import asdict, replace
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
@@ -36,6 +36,7 @@ from recast.reporting.video import VideoWriter, write_video
 from recast.runs.arms import Arm
 from recast.runs.config import RunConfig
 from recast.scene import StreetScene
+from recast.scene.street_scene import GapMeter, ViewGaps
 from recast.simulation import (
     Rollout,
     RolloutFailure,
@@ -56,8 +57,10 @@ from recast.simulation.rollout_files import load_coverage, save_coverage
 from recast.simulation.scene_renderer import (
     Meter,
     RolloutCoverage,
+    RolloutGaps,
     SceneRenderer,
     rollout_coverage,
+    rollout_gaps,
     through_lenses,
 )
 
@@ -72,6 +75,7 @@ _FILMS = "films.json"
 _PLANNER = "planner.json"
 _STATES = "states"
 _COVERAGE = "coverage.parquet"
+_GAPS = "gaps.json"
 _VERSION: Literal[1] = 1
 _MEND = "remove the folder of this rollout and run again"
 
@@ -155,6 +159,7 @@ class Renderers:
         self._streets: dict[tuple[str, tuple[str, ...]], StreetScene] = {}
         self._made: dict[tuple[str, tuple[str, ...], str], SensorRenderer] = {}
         self._meters: dict[tuple[str, tuple[str, ...]], CoverageMeter | None] = {}
+        self._gap_meters: dict[tuple[str, tuple[str, ...]], GapMeter] = {}
 
     def street(self, arm: Arm, tracks: tuple[str, ...]) -> StreetScene:
         """The reconstruction of an arm; `tracks` are replaced where it replaces any."""
@@ -197,6 +202,15 @@ class Renderers:
                 else CoverageMeter(self.street(arm, tracks), actor.track_id, actor.shares)
             )
         return self._meters[key]
+
+    def gap_meter(self, arm: Arm, tracks: tuple[str, ...]) -> GapMeter | None:
+        """What measures the gaps of an arm's street; None where the street is the truth."""
+        if arm.needs_world:
+            return None
+        key = arm.name, tracks
+        if key not in self._gap_meters:
+            self._gap_meters[key] = GapMeter(self.street(arm, tracks))
+        return self._gap_meters[key]
 
     def _make(
         self, arm: Arm, tracks: tuple[str, ...], mounts: Mapping[str, CameraMount]
@@ -257,6 +271,15 @@ class FilmsRecord(Record):
     films: dict[str, str]
 
 
+class GapsRecord(Record):
+    """Contents of gaps.json, see `RolloutGaps`."""
+
+    version: int = _VERSION
+    mean: ViewGaps
+    worst: ViewGaps
+    worst_s: float
+
+
 class FailureRecord(Record):
     """failure.json: a `RolloutFailure`."""
 
@@ -281,6 +304,7 @@ def make_rollout(
     filmed: bool = True,
     timings: Timings | None = None,
     meter: Meter | None = None,
+    gap_meter: GapMeter | None = None,
 ) -> None:
     """Run one rollout and write it into a folder.
 
@@ -291,12 +315,13 @@ def make_rollout(
         renderer: None where nothing looks: no film, and a planner that needs no images.
         folder: empty; gets `states/` (see `save_rollout`), `planner.json` (see `seen_record`; with
             `restored_by`, the name of the restorer, if there is one), the films and `films.json`,
-            and with a meter `coverage.parquet`; or `failure.json`.
+            and with meters `coverage.parquet` and `gaps.json`; or `failure.json`.
         filmed: render every step, not only those that the planner sees.
         on_step: function that is called after each filmed step.
         timings: timings that those of the rollout are added to.
         meter: meter of the coverage of the actor that the renderer draws; None for an actor without
             shares.
+        gap_meter: meter of the gaps in the street that the renderer draws; None for the truth.
 
     Raises:
         InputError: the disk refuses.
@@ -341,9 +366,14 @@ def make_rollout(
         if isinstance(renderer, RestoringRenderer):
             record["restored_by"] = renderer.restored_by
         files.write_json(folder / _PLANNER, record)
+        names = tuple(setup.log.cameras if setup.camera_names is None else setup.camera_names)
+        given = planner_cameras(planner, mounts, names) if mounts else ()
+        if gap_meter is not None and given:
+            gaps = rollout_gaps(rollout, setup, gap_meter, mounts, given)
+            if gaps is not None:
+                record = GapsRecord(**asdict(gaps)).model_dump(mode="json")
+                files.write_json(folder / _GAPS, record)
         if meter is not None and mounts:
-            names = tuple(setup.log.cameras if setup.camera_names is None else setup.camera_names)
-            given = planner_cameras(planner, mounts, names)
             coverage = rollout_coverage(
                 rollout, setup, meter, mounts, names if filmed else (), given
             )
@@ -388,6 +418,19 @@ def read_rollout(folder: Path) -> Rollout | RolloutFailure:
     if not path.exists():
         return load_rollout(folder / _STATES)
     return read_record(path, FailureRecord, _VERSION, _MEND).failure
+
+
+def read_gaps(folder: Path) -> RolloutGaps | None:
+    """What a rollout's images showed that the log does not; None if it was not measured.
+
+    Raises:
+        InputError: the file is damaged.
+    """
+    path = folder / _GAPS
+    if not path.exists():
+        return None
+    record = read_record(path, GapsRecord, _VERSION, _MEND)
+    return RolloutGaps(record.mean, record.worst, record.worst_s)
 
 
 def read_coverage(folder: Path) -> RolloutCoverage | None:

@@ -5,7 +5,7 @@ A `ScoredRollout` is a stored rollout with its scores; `RunTrust` says how far t
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from functools import cached_property
 from itertools import product
 from pathlib import Path
@@ -31,15 +31,16 @@ from recast.metrics.trust import (
     trust_features,
 )
 from recast.planning import ShownView
-from recast.reconstruction.evaluate import EVALUATION_VERSION, ViewGaps
+from recast.reconstruction.evaluate import EVALUATION_VERSION
 from recast.reconstruction.scores import DepthScore, RegionScore
 from recast.runs.arms import Arm, under_other_noise
 from recast.runs.config import RunConfig
-from recast.runs.rollouts import given_views, read_coverage, read_rollout
+from recast.runs.rollouts import given_views, read_coverage, read_gaps, read_rollout
 from recast.runs.run_folder import ACTOR_FOLDER, VIEWS_FOLDER, rollout_name, use_name, use_parts
+from recast.scene.street_scene import ViewGaps
 from recast.simulation import Rollout, RolloutFailure
 from recast.simulation.oracle_renderer import OracleRenderer
-from recast.simulation.scene_renderer import RolloutCoverage
+from recast.simulation.scene_renderer import RolloutCoverage, RolloutGaps
 
 
 @dataclass(frozen=True)
@@ -49,6 +50,7 @@ class ScoredRollout:
     Attributes:
         folder: folder that `make_rollout` wrote.
         coverage: coverage of its vehicle; None for a vehicle without shares.
+        gaps: what its images showed that the log does not; None if that is not known.
         evaluation: held-out scores of its street; None if no image was held out.
         disturbed: the same scenario, planner and arm under other noise.
     """
@@ -57,6 +59,7 @@ class ScoredRollout:
     folder: Path
     metrics: RolloutMetrics
     coverage: RolloutCoverage | None
+    gaps: RolloutGaps | None
     evaluation: Artefact | None
     disturbed: tuple[RolloutMetrics, ...]
 
@@ -98,13 +101,14 @@ def scored_rollouts(
                 folders[arm.name],
                 metrics[arm.name],
                 read_coverage(folders[arm.name]),
+                read_gaps(folders[arm.name]),
                 find(use_name("evaluation", arm.street)),
                 tuple(metrics[name] for name in disturbed if name in metrics),
             )
     return found
 
 
-METRICS_VERSION: Literal[4] = 4
+METRICS_VERSION: Literal[5] = 5
 
 
 def write_metrics(
@@ -115,7 +119,8 @@ def write_metrics(
     Each rollout's entry has, besides `RolloutMetrics.to_json`, a member `shorter`: by number of
     steps, its scores over the first steps alone, for each length at which the rollout of another
     arm was cut in the same scenario. `coverage`: what its cameras showed of an actor with shares,
-    see `RolloutCoverage.to_json`, or None. And `trust`: how far to trust its verdict, see
+    see `RolloutCoverage.to_json`, or None. `gaps`: what the planner's images showed that the log
+    does not, see `RolloutGaps`, or None. And `trust`: how far to trust its verdict, see
     `RolloutTrust.to_json`; None for the truth.
 
     Args:
@@ -146,6 +151,7 @@ def write_metrics(
                     **one.metrics.to_json(),
                     "shorter": _shorter(one.metrics, metrics),
                     "coverage": None if one.coverage is None else one.coverage.to_json(),
+                    "gaps": None if one.gaps is None else asdict(one.gaps),
                     "trust": None if trusted is None else trusted.to_json(),
                 }
                 for one, trusted in zip(rollouts, trusts, strict=True)

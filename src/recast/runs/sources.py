@@ -36,11 +36,11 @@ RECIPES = {
     "scene": 6,
     "evaluation": 4,
     "truth": 5,
-    "rollout": 8,
+    "rollout": 9,
     "plans": 1,
     "scene-level": 3,
-    "metrics": 10,
-    "report": 11,
+    "metrics": 11,
+    "report": 12,
 }
 """Version of what recast's own code makes of the inputs of a step.
 

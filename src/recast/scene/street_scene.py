@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Protocol
@@ -11,11 +11,20 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from recast.arrays import Array, Float32Array, Int64Array
+from recast.arrays import Array, BoolArray, Float32Array, Int64Array
 from recast.cameras import PinholeCamera
 from recast.logs import Trajectory
 from recast.logs.checks import check_times
-from recast.scene.actor import DrawnActor, SceneActor, check_gaussians, exposed, exposed_colours
+from recast.scene.actor import (
+    BLACK,
+    DrawnActor,
+    SceneActor,
+    check_gaussians,
+    exposed,
+    exposed_colours,
+    painted,
+    painted_actor,
+)
 from recast.scene.sky import SkyMap, composite, pixel_coordinates
 from recast.splats import (
     CLASSIC,
@@ -383,6 +392,69 @@ class SceneRasterizer:
             return rasterize_frozen(
                 drawn, view, K, camera.width, camera.height, far=nearer_than, window=window
             )
+
+
+@dataclass(frozen=True)
+class ViewGaps:
+    """What a view shows that the log does not.
+
+    Attributes:
+        invented: share of the pixels whose surface no training image showed: the LiDAR met it, or
+            it is a ground assumed under what hid it, in colours of what is near by.
+        empty: share of the pixels with neither a surface nor sky that a training image showed; they
+            have the colour of sky near by.
+    """
+
+    invented: float
+    empty: float
+
+    @classmethod
+    def mean(cls, several: Iterable[ViewGaps | None]) -> ViewGaps | None:
+        """Mean over views; None where there are none."""
+        found = [(one.invented, one.empty) for one in several if one is not None]
+        return cls(*np.mean(found, axis=0).tolist()) if found else None
+
+
+class GapMeter:
+    """Measures what views of one scene show that its log does not.
+
+    Args:
+        scene: an imported one does not tell.
+        device: device to draw on, see `recast.splats.pick_device`.
+    """
+
+    def __init__(self, scene: StreetScene, device: str = "auto") -> None:
+        self._rasterizer: SceneRasterizer | None = None
+        if scene.unseen is None or scene.sky_seen is None:
+            return
+        red, green = torch.tensor([1.0, *BLACK[1:]]), torch.tensor([0.0, 1.0, 0.0])
+        marks = torch.where(scene.unseen[:, None], red, torch.tensor(BLACK))
+        marked = replace(
+            scene,
+            background=painted(scene.background, marks),
+            actors={k: painted_actor(v, BLACK, BLACK) for k, v in scene.actors.items()},
+            sky=SkyMap((~scene.sky_seen)[..., None] * green),
+        )
+        self._rasterizer = SceneRasterizer(marked, device)
+
+    def measure(
+        self,
+        camera: PinholeCamera,
+        camera_from_world: Array,
+        poses: Mapping[str, Array],
+        usable: BoolArray | None = None,
+    ) -> ViewGaps | None:
+        """Shares of the pixels of a view; None if the scene does not tell.
+
+        Args:
+            camera, camera_from_world, poses: see `render_scene`.
+            usable: (H, W) pixels that count; None for all.
+        """
+        if self._rasterizer is None:
+            return None
+        rgb = self._rasterizer.render(camera, camera_from_world, poses).rgb
+        marked = (rgb if usable is None else rgb[usable]) > 0.5
+        return ViewGaps(float(marked[..., 0].mean()), float(marked[..., 1].mean()))
 
 
 def render_scene(

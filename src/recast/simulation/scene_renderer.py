@@ -18,7 +18,7 @@ from recast.cameras import CameraMount, Lens, PinholeCamera
 from recast.core.errors import InputError
 from recast.core.foreign import whole
 from recast.geometry import se3
-from recast.scene.street_scene import SceneRasterizer, StreetScene
+from recast.scene.street_scene import GapMeter, SceneRasterizer, StreetScene, ViewGaps
 from recast.simulation.history import other_poses
 from recast.simulation.renderer import BaseRenderer, MountedRenderer, SensorRenderer
 from recast.simulation.rollout import Rollout, SimState
@@ -192,6 +192,68 @@ def _lens(camera: PinholeCamera) -> Lens:
     return Lens(camera)
 
 
+GAPS_EVERY = 5
+"""Every n-th plan step is measured: half a second apart at 10 Hz."""
+
+
+@dataclass(frozen=True)
+class RolloutGaps:
+    """What the planner's images of a rollout show that the log does not.
+
+    Attributes:
+        mean: mean over images.
+        worst: mean over the cameras, at the moment that shows most.
+        worst_s: seconds from the start to that moment.
+    """
+
+    mean: ViewGaps
+    worst: ViewGaps
+    worst_s: float
+
+
+def rollout_gaps(
+    rollout: Rollout,
+    setup: RolloutSetup,
+    meter: GapMeter,
+    mounts: Mapping[str, CameraMount],
+    given: Sequence[str],
+) -> RolloutGaps | None:
+    """Measure a rollout after it was run, from its poses alone, at every `GAPS_EVERY`th plan step.
+
+    Args:
+        setup: what it was run with.
+        mounts: cameras as they were rendered; one with distortion is measured without.
+        given: names of the planner's cameras.
+
+    Returns:
+        None where the scene does not tell, or the planner looks at nothing.
+    """
+    moments = {}
+    for step in rollout.plan_steps[::GAPS_EVERY].tolist():
+        poses = _poses_at(rollout, setup, step)
+        found = []
+        for name in given:
+            mount = mounts[name]
+            camera_from_world = se3.inverse(rollout.world_from_rig[step] @ mount.rig_from_camera)
+            camera = mount.camera.rectified()
+            found.append(meter.measure(camera, camera_from_world, poses, mount.seen))
+        mean = ViewGaps.mean(found)
+        if mean is not None:
+            moments[step] = mean
+    mean = ViewGaps.mean(moments.values())
+    if mean is None:
+        return None
+    worst = max(moments, key=lambda step: moments[step].invented + moments[step].empty)
+    return RolloutGaps(mean, moments[worst], worst * rollout.dt)
+
+
+def _poses_at(rollout: Rollout, setup: RolloutSetup, step: int) -> dict[str, Array]:
+    poses = other_poses(setup, rollout.timestamp_us(step))
+    poses |= {one.track_id: one.world_from_actor[step] for one in rollout.controlled}
+    poses[rollout.track_id] = rollout.world_from_actor[step]
+    return poses
+
+
 SHARES = ("seen", "mirrored", "invented")
 _MOST_STEPS = int(1e9)  # as many as a rollout may have
 
@@ -304,9 +366,7 @@ def rollout_coverage(
     """
     images = []
     for step in rollout.plan_steps.tolist():
-        poses = other_poses(setup, rollout.timestamp_us(step))
-        poses |= {one.track_id: one.world_from_actor[step] for one in rollout.controlled}
-        poses[rollout.track_id] = rollout.world_from_actor[step]
+        poses = _poses_at(rollout, setup, step)
         for name in dict.fromkeys((*recorded, *given)):
             mount = mounts[name]
             camera_from_world = se3.inverse(rollout.world_from_rig[step] @ mount.rig_from_camera)

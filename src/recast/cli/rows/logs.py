@@ -32,9 +32,10 @@ from recast.simulation.scenario import (
 
 if TYPE_CHECKING:
     from recast.logs import DrivingLog
-    from recast.reconstruction import RegionScore, SceneEvaluation, ViewGaps
+    from recast.reconstruction import RegionScore, SceneEvaluation
     from recast.reporting.previews import ScenarioFacts
     from recast.scene.exchange import ImportRecord
+    from recast.scene.street_scene import ViewGaps
     from recast.simulation import PreparedRollout, RolloutSetup
 
 
