@@ -17,6 +17,7 @@ from recast.cli.shared import print_json, with_unit
 from recast.core import Store, files
 from recast.logs import DrivingLog
 from recast.metrics import COLUMNS
+from recast.runs.scores import METRICS_VERSION
 from support.trellis_folder import write_golden_model
 from support.vehicle_pictures import write_vehicles
 
@@ -159,7 +160,7 @@ def _metrics(out: Path, means: Mapping[str, float | None]) -> None:
         "error": "ValueError",
         "reason": "no road",
     }
-    record = {"version": 4, "table": [row], "rollouts": [], "failures": [failure]}
+    record = {"version": METRICS_VERSION, "table": [row], "rollouts": [], "failures": [failure]}
     files.write_json(out / "metrics.json", record)
 
 

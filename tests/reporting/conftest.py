@@ -25,11 +25,13 @@ from recast.reporting import (
     write_report,
     write_video,
 )
+from recast.scene.street_scene import ViewGaps
 from recast.simulation.rollout import RolloutFailure
-from recast.simulation.scene_renderer import ImageCoverage, RolloutCoverage
+from recast.simulation.scene_renderer import ImageCoverage, RolloutCoverage, RolloutGaps
 from reporting.made_up_actor import CANDIDATES
 from reporting.made_up_rollouts import HOSTILE, STEPS, cut_in, straight_map
 
+GAPS = RolloutGaps(ViewGaps(0.01, 0.0), ViewGaps(0.03, 0.01), 2.5)
 COVERAGE = RolloutCoverage(
     (
         ImageCoverage(f"front{HOSTILE}", 0, True, Coverage(90.0, 0.5, 0.25, 0.25)),
@@ -66,6 +68,7 @@ def complete(tmp_path_factory: pytest.TempPathFactory) -> ReportInputs:
             RolloutTrust(0.72, f"As 7 of 10 like it {HOSTILE}", {5: "contact"}, None, True)
             if arm == "recast"
             else None,
+            GAPS if arm == "recast" else None,
         )
         for arm, rollout in driven.items()
     )

@@ -58,6 +58,7 @@ def test_every_part_is_on_the_page(report: Path) -> None:
         "0.72. As 7 of 10 like it",
         "trust 0.72",
         "Trust in the verdicts 0.72 near 1; see Rollouts. The calibration is provisional",
+        "Street that no image shows, at most 4.0% (1.0% empty), 2.5 s after the start",
         "bird's-eye view",
         "Time to collision of each plan",
         "21.93 dB",

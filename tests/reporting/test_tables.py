@@ -3,6 +3,7 @@ from __future__ import annotations
 import dataclasses
 
 import numpy as np
+import pytest
 
 from recast.metrics import COLUMNS, rollout_metrics
 from recast.reporting import NotMade, RolloutPart, ScenarioPart, tables
@@ -16,7 +17,9 @@ from recast.reporting.summary import (
     rollout_events,
     truth_gaps,
 )
+from recast.scene.street_scene import ViewGaps
 from recast.simulation import RolloutFailure
+from recast.simulation.scene_renderer import RolloutGaps
 from reporting.made_up_rollouts import cut_in, straight_map
 
 ARMS = {"native": "Native", "recast": "Replaced"}
@@ -169,3 +172,20 @@ def test_gap_to_the_truth_is_the_distance_between_the_egos() -> None:
     assert told is not None
     assert f"Native {away.mean():.2f} m on average, {away.max():.2f} m at most" in told
     assert truth_gaps(dataclasses.replace(run, truth_arm=None), part) is None
+
+
+@pytest.mark.parametrize(("worst", "tone"), [(0.02, "good"), (0.05, "warn"), (0.1, "bad")])
+def test_the_worst_moment_of_all_rollouts_says_how_much_no_image_shows(
+    worst: float, tone: str
+) -> None:
+    few, most = ViewGaps(0.001, 0.001), ViewGaps(worst - 0.005, 0.005)
+    parts = [
+        dataclasses.replace(part("native", "a", 40), gaps=RolloutGaps(few, few, 0.5)),
+        dataclasses.replace(part("recast", "a", 40), gaps=RolloutGaps(few, most, 1.5)),
+    ]
+    run = ReportInputs("t", "l", ARMS, scenarios=(ScenarioPart("a", "", tuple(parts)),))
+    by_name = {check.name: check for check in checks(run)}
+    check = by_name["Street that no image shows, at most"]
+    assert check.tone == tone and check.found == f"{worst:.1%} (0.5% empty), 1.5 s after the start"
+    none = dataclasses.replace(run, scenarios=(ScenarioPart("a", "", (part("native", "a", 40),)),))
+    assert not any("no image shows" in one.name for one in checks(none))

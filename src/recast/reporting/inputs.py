@@ -161,9 +161,9 @@ class RolloutPart:
         rollout: its states, the failure that ended it, or why there is none.
         films: camera name to film of what the planner saw, one frame a step.
         coverage: what of the actor its cameras showed; None for an actor without shares.
+        trust: how far to trust its verdict; None for the truth, or if it is not known.
         gaps: what its images showed that the log does not; None for the truth, or if it is not
             known.
-        trust: how far to trust its verdict; None for the truth, or if it is not known.
     """
 
     arm: str
@@ -171,8 +171,8 @@ class RolloutPart:
     metrics: RolloutMetrics | NotMade = NOT_MADE
     films: Mapping[str, Path] | NotMade = NOT_MADE
     coverage: RolloutCoverage | None = None
-    gaps: RolloutGaps | None = None
     trust: RolloutTrust | None = None
+    gaps: RolloutGaps | None = None
 
 
 @dataclass(frozen=True)

@@ -273,7 +273,7 @@ class GatheredRun:
             return RolloutPart(arm.name, found, NotMade(found.reason), NotMade(found.reason))
         metrics, shown = found.metrics, films(found.folder)
         trust = self.trust.of(found)
-        measured = found.coverage, found.gaps, trust
+        measured = found.coverage, trust, found.gaps
         return RolloutPart(arm.name, metrics.rollout, metrics, shown, *measured)
 
     def _scene(self, arm: Arm) -> ScenePart | NotMade:
