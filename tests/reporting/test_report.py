@@ -28,6 +28,7 @@ from recast.reporting import (
     read_video,
     write_report,
 )
+from recast.reporting.summary import checks
 from reporting.made_up_rollouts import STEPS
 from support.report_pages import Page, digests
 
@@ -216,6 +217,16 @@ def test_plans_against_the_recording(tmp_path: Path) -> None:
         "ones in: 0% native, 100% replaced. A shift of the recorded images by one pixel moves 0%. "
         "1 moments without all images were left out."
     ) in page.text
+    assert (
+        "Plans more than 2 m off those on the recorded images, gtrs-<mini> native 0%, replaced "
+        "100%; shifted by one pixel 0%"
+    ) in page.text
+    (check,) = [one for one in checks(run) if "recorded images" in one.name]
+    assert check.tone == "warn"
+    alike = dataclasses.replace(run, recording=(tmp_path / "alike",))
+    write_agreement(dataclasses.replace(found, arms=("native",)), pictures, tmp_path / "alike")
+    (check,) = [one for one in checks(alike) if "recorded images" in one.name]
+    assert check.tone == "good"
     assert "native, held out" in page.text and "0.5 s, 8.0 m/s, free: native 0.4 m" in page.text
     shown = [a["src"] or "" for tag, a in page.tags if tag == "img"]
     assert len(shown) == 6

@@ -10,6 +10,7 @@ import numpy as np
 
 from recast.actors.actor import Coverage
 from recast.metrics import RolloutMetrics
+from recast.metrics.plan_agreement import MOVED, PlanAgreement, read_agreement
 from recast.metrics.table import over_common_steps
 from recast.reporting.inputs import (
     ActorPart,
@@ -364,6 +365,7 @@ def checks(run: ReportInputs) -> tuple[Check, ...]:
         found.extend(_invented(coverage_lines(run.scenarios, run.arms)))
         found.extend(_gaps(run.scenarios))
         found.extend(_trust(run.scenarios))
+    found += [_agreement(read_agreement(folder)) for folder in run.recording]
     if not isinstance(run.hd_map, NotMade):
         derived = run.hd_map.derived
         found.append(
@@ -407,6 +409,21 @@ def _invented(lines: Sequence[CoverageLine]) -> tuple[Check, ...]:
     if len(shares) > 1:
         text += f" to {max(shares):.0%} by rollout"
     return (Check("Invented share of the visible actor", text, "little; see Actor", "plain"),)
+
+
+AS_ONE_PIXEL = 1.2
+"""Up to this many times what one pixel moves, a planner sees in a rendering what was recorded."""
+
+
+def _agreement(found: PlanAgreement) -> Check:
+    """How many plans are others than on the recorded images: for any planner, on this log."""
+    moved = {arm: scores.moved for arm in found.arms if (scores := found.scores(arm)) is not None}
+    shown = ", ".join(f"{arm} {share:.0%}" for arm, share in moved.items())
+    text = f"{shown}; shifted by one pixel {found.floor:.0%}"
+    good = max(moved.values()) <= AS_ONE_PIXEL * found.floor
+    wanted = f"up to {AS_ONE_PIXEL:g} times one pixel; see Against the recording"
+    name = f"Plans more than {MOVED:g} m off those on the recorded images, {found.planner}"
+    return Check(name, text, wanted, "good" if good else "warn")
 
 
 FEW_GAPS, MANY_GAPS = 0.02, 0.1
