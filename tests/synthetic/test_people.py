@@ -93,7 +93,8 @@ def test_the_log_names_their_category_and_gives_the_world_back(
     assert log.metadata["people"] == "yes"
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(populate, "make_world", lambda *request: request)
-        assert world_of(log) == (world.name, world.seed, world.seconds, world.light, True)
+        known = world.name, world.seed, world.seconds, world.light, True, "fair"
+        assert world_of(log) == known
     with pytest.raises(InputError, match="does not name a world"):
         world_of(replace(log, metadata={**log.metadata, "people": "many"}))
 
