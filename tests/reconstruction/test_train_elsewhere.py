@@ -142,7 +142,7 @@ def test_a_scene_drawn_elsewhere_looks_the_same(trained: TrainResult, tiny_log: 
     name, stream = next(iter(tiny_log.cameras.items()))
     time = int(stream.timestamps_us[0])
     rig = tiny_log.world_from_rig.at(time)
-    pose = se3.inverse(rig @ stream.rig_from_camera)
+    pose = se3.inverse(rig @ scene.mounted(stream.rig_from_camera, name))
     camera, poses = stream.camera.rectified(), scene.actor_poses(time)
     assert poses
     rasterizer = SceneRasterizer(scene)

@@ -9,12 +9,14 @@ import pytest
 import torch
 
 from recast.cameras import CameraMount
+from recast.geometry import se3
 from recast.logs import DrivingLog
 from recast.reconstruction import TrainResult
 from recast.reconstruction.evaluate import draw_view
 from recast.reconstruction.views import TrainingView, read_view
 from recast.scene import SceneRasterizer, render_scene
 from recast.scene.sky import OPAQUE
+from recast.scene.street_scene import twist_matrix
 from recast.simulation.scene_renderer import SceneRenderer
 from recast.splats import MIP, rasterize
 
@@ -99,3 +101,34 @@ def test_an_image_is_exposed_as_its_camera_was(trained: TrainResult, view: Train
     assert np.abs(dark - 0.5 * drawn).max() < 1e-3
     with pytest.raises(ValueError, match=r"exposures.*transforms"):
         replace(scene, exposures={"front": (times, affines[:1])}).validate()
+
+
+def test_cameras_sit_where_training_learned_that_they_do(
+    trained: TrainResult, tiny_log: DrivingLog, view: TrainingView
+) -> None:
+    scene, name = trained.scene, view.camera_name
+    rig_from_camera = tiny_log.cameras[name].rig_from_camera
+    _, twists = scene.camera_corrections[name]
+    mean = twist_matrix(torch.from_numpy(twists.mean(axis=0))).numpy()
+    assert np.abs(twists).max() > 0
+    assert np.allclose(scene.mounted(rig_from_camera, name) @ mean, rig_from_camera, atol=1e-9)
+    assert scene.mounted(rig_from_camera, "other") is rig_from_camera
+    turn = se3.from_rotation_translation(se3.rotation_z(0.02), np.array([0.0, 0.3, 0.1]))
+    moved = replace(scene, mounts={name: turn}, exposures={})
+    moved.validate()
+    time = int(view.timestamp_us)
+    state: Any = SimpleNamespace(
+        timestamp_us=time, actors={}, poses={}, world_from_rig=tiny_log.world_from_rig.at(time)
+    )
+    mounts = {
+        name: CameraMount(view.camera, rig_from_camera),
+        "virtual": CameraMount(view.camera, rig_from_camera, source=name),
+        "by hand": CameraMount(view.camera, turn @ rig_from_camera),
+        "as logged": CameraMount(view.camera, rig_from_camera),
+    }
+    seen = SceneRenderer(moved, mounts).render(state, list(mounts))
+    assert np.array_equal(seen[name], seen["by hand"])
+    assert np.array_equal(seen["virtual"], seen["by hand"])
+    assert np.abs(seen[name].astype(int) - seen["as logged"]).max() > 20
+    with pytest.raises(ValueError, match=r"mounts\['image_02'\]"):
+        replace(scene, mounts={name: turn[:3]}).validate()

@@ -50,6 +50,9 @@ def test_round_trip_is_exact(trained: TrainResult, tmp_path: Path) -> None:
         assert np.array_equal(loaded.camera_corrections[name][1], twists)
     assert loaded.log_name == scene.log_name
     assert loaded.low_pass == scene.low_pass == MIP
+    assert loaded.mounts.keys() == scene.camera_corrections.keys()
+    for name, moved in scene.mounts.items():
+        assert np.array_equal(loaded.mounts[name], moved)
     assert loaded.exposures.keys() == scene.exposures.keys() == scene.camera_corrections.keys()
     for name, (times, affines) in scene.exposures.items():
         assert np.array_equal(loaded.exposures[name][0], times)

@@ -12,6 +12,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from recast.arrays import Array
+from recast.geometry import se3
 from recast.logs import DrivingLog, Track
 from recast.reconstruction.bodies import Body
 from recast.reconstruction.config import Measure, SceneConfig
@@ -46,7 +48,7 @@ from recast.reconstruction.tables import (
 from recast.reconstruction.views import Level, TrainingView, make_levels, visible_rectangle
 from recast.scene.actor import Deforming, SceneActor, coloured, frozen, mirrored, share_of
 from recast.scene.store import save_scene
-from recast.scene.street_scene import DEFORMABLE, StreetScene
+from recast.scene.street_scene import DEFORMABLE, StreetScene, twist_matrix
 from recast.splats import Gaussians, RasterMeta, RowAdam, concatenate, rasterize
 
 Shape = Callable[[Gaussians], Gaussians]
@@ -285,6 +287,7 @@ class Trainer:
             camera_corrections=self.camera_poses.corrections(self._views),
             log_name=log.name,
             low_pass=self.config.low_pass,
+            mounts=self._mounts(log),
             unseen=unseen,
             sky_seen=self._sky_seen,
         )
@@ -292,6 +295,15 @@ class Trainer:
             return scene
         scene = replace(scene, exposures=self.exposures.learned())
         return scene.exposed(self.exposures.mean())
+
+    def _mounts(self, log: DrivingLog) -> dict[str, Array]:
+        """What of the cameras' corrections is the same at all times, in the rig's frame."""
+        found = {}
+        for name, (_, twists) in self.camera_poses.corrections(self._views).items():
+            moved = twist_matrix(torch.from_numpy(twists.mean(axis=0))).numpy()
+            rig_from_camera = log.cameras[name].rig_from_camera
+            found[name] = rig_from_camera @ se3.inverse(moved) @ se3.inverse(rig_from_camera)
+        return found
 
     def save(self, log: DrivingLog, folder: Path) -> StreetScene:
         """Write the scene as it stands into a folder, see `save_scene`."""

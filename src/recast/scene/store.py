@@ -206,6 +206,7 @@ class SceneRecord(Record):
     actors: list[SceneActorRecord]
     cameras: list[str]
     exposures: list[str] = Field(default_factory=list)
+    mounts: list[str] = Field(default_factory=list)
     deformation: str | None = None
     bodies: str | None = None
 
@@ -251,6 +252,7 @@ def save_scene(scene: StreetScene, folder: str | Path) -> None:
     for name, (times, affines) in scene.exposures.items():
         tensors[f"exposure/{name}/timestamps_us"] = torch.from_numpy(times)
         tensors[f"exposure/{name}/affines"] = torch.from_numpy(affines)
+    tensors |= {f"mount/{name}": torch.from_numpy(moved) for name, moved in scene.mounts.items()}
     marks = {name: getattr(scene, name) for name in _MARKS}
     tensors |= {name: mark for name, mark in marks.items() if mark is not None}
     write_tensors(folder / TENSOR_FILE, tensors, {"version": SCENE_VERSION})
@@ -269,12 +271,13 @@ def save_scene(scene: StreetScene, folder: str | Path) -> None:
         actors=records,
         cameras=list(scene.camera_corrections),
         exposures=list(scene.exposures),
+        mounts=list(scene.mounts),
         deformation=DEFORMATION_FILE if deformations else None,
         bodies=BODIES_FILE if bodies else None,
     )
     values = record.model_dump(mode="json")
     # What a scene has not is not mentioned: earlier releases read it then.
-    for name in ("deformation", "bodies", "exposures"):
+    for name in ("deformation", "bodies", "exposures", "mounts"):
         if not values[name]:
             del values[name]
     write_json(folder / SCENE_FILE, values)
@@ -317,6 +320,9 @@ def load_scene(folder: str | Path) -> StreetScene:
                 tensors.get(f"exposure/{name}/affines", torch.float64).numpy(),
             )
             for name in record.exposures
+        },
+        mounts={
+            name: tensors.get(f"mount/{name}", torch.float64).numpy() for name in record.mounts
         },
         **{name: tensors.get(name, torch.bool) for name in _MARKS if name in tensors},
         log_name=record.log_name,

@@ -142,6 +142,8 @@ class StreetScene:
             twists (F, 6) (see `recast.scene.street_scene.corrected`).
         log_name: the log it was made from.
         low_pass: filter that the background was made for; each actor has its own.
+        mounts: learned corrections of the cameras' places in the rig by camera: (4, 4), which
+            multiply `rig_from_camera` from the left; see `mounted`.
         exposures: learned changes of an image's colours by camera, relative to the scene's colours:
             times (F,) int64 and transforms (F, 3, 4); see `exposure`.
         unseen: (N,) bool, Gaussians of the background that no training image showed; None where
@@ -158,6 +160,7 @@ class StreetScene:
     log_name: str = ""
     low_pass: LowPass = CLASSIC
     exposures: Mapping[str, tuple[Int64Array, Array]] = field(default_factory=dict)
+    mounts: Mapping[str, Array] = field(default_factory=dict)
     unseen: Tensor | None = None
     sky_seen: Tensor | None = None
     origin: Path | None = field(default=None, init=False, compare=False, repr=False)
@@ -186,6 +189,10 @@ class StreetScene:
                 raise ValueError(f"{where}: {len(times)} times, transforms {affines.shape}")
             if not np.all(np.abs(affines) <= MOST_CORRECTED):  # also NaN
                 raise ValueError(f"{where}: a number is not finite, or beyond {MOST_CORRECTED:g}")
+        for name, moved in self.mounts.items():
+            where = f"mounts[{name!r}]"
+            if moved.shape != (4, 4) or not np.all(np.abs(moved) <= MOST_CORRECTED):
+                raise ValueError(f"{where}: expected (4, 4) finite numbers, got {moved.tolist()}")
         for where, marks, shape in (
             ("unseen", self.unseen, (len(self.background),)),
             ("sky_seen", self.sky_seen, tuple(self.sky.colours.shape[:2])),
@@ -257,6 +264,12 @@ class StreetScene:
         flat = affines.reshape(len(times), 12)
         found = [np.interp(timestamp_us, times, flat[:, i]) for i in range(12)]
         return torch.tensor(found, dtype=torch.float32).view(3, 4)
+
+    def mounted(self, rig_from_camera: Array, camera_name: str) -> Array:
+        """Where a camera truly sits in the rig (4, 4): as calibrated, moved by the mean of what
+        training learned of its poses. The same holds for a virtual camera at its place."""
+        moved = self.mounts.get(camera_name)
+        return rig_from_camera if moved is None else moved @ rig_from_camera
 
     def exposed(self, affine: Tensor) -> StreetScene:
         """The scene with the colours' transform (3, 4) in all its parts; the sky in [0, 1].

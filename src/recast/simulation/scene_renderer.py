@@ -59,7 +59,9 @@ class SceneRenderer(MountedRenderer):
         images = {}
         for name in camera_names:
             mount = self._mounts[name]
-            camera_from_world = se3.inverse(state.world_from_rig @ mount.rig_from_camera)
+            source = mount.source or name
+            rig_from_camera = self.scene.mounted(mount.rig_from_camera, source)
+            camera_from_world = se3.inverse(state.world_from_rig @ rig_from_camera)
             image = draw_image(
                 self.rasterizer,
                 mount.camera,
@@ -67,7 +69,7 @@ class SceneRenderer(MountedRenderer):
                 poses,
                 state.timestamp_us,
                 mount.window,
-                self.scene.exposure(mount.source or name, state.timestamp_us),
+                self.scene.exposure(source, state.timestamp_us),
             )
             images[name] = mount.framed(image)
         return images
