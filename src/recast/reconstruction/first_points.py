@@ -54,7 +54,7 @@ from recast.splats import concatenate as joined
 from recast.splats.gaussians import C0
 
 OPAQUE_LOGIT = math.log(INIT.unseen_opacity / (1 - INIT.unseen_opacity))
-"""Of the opacity of what no image shows."""
+"""Logit of the opacity of what no image shows."""
 _WAYMO = tuple(CAMERA_NAME.names.values())
 """Waymo's cameras by their number in names of files."""
 _FILE = re.compile(r"(\d+)_(.+)\.png", re.IGNORECASE)
