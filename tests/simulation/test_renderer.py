@@ -8,6 +8,7 @@ import pytest
 
 from recast.core.errors import InputError
 from recast.geometry import se3
+from recast.logs import Trajectory
 from recast.planning import ConstantVelocity, Plan, PlannerInput
 from recast.planning.gtrs import nuplan_rig
 from recast.scene.street_scene import StreetScene
@@ -19,6 +20,7 @@ from recast.simulation import (
     camera_mounts,
     run_rollout,
 )
+from recast.simulation.recorded_drive import RecordedDrive
 from recast.simulation.scene_renderer import SceneRenderer, through_lenses
 from support.camera_drives import CAMERA, RIG_FROM_CAMERA, log_with_camera
 
@@ -88,6 +90,38 @@ def test_others_are_drawn_only_where_they_stay(scene: StreetScene) -> None:
     assert renderer.render(state(**{"9": beside}), ["front"])["front"][24, 48, 1] > 200
     # a track without a model in the scene is part of its background
     renderer.render(state(**{"not modelled": beside}), ["front"])
+
+
+def test_at_a_moment_of_the_log_the_scene_stands_as_training_learned(scene: StreetScene) -> None:
+    log = log_with_camera()
+    mount = camera_mounts(log)["front"]
+    times = np.array([6_000_000, 7_000_000])
+    twists = np.zeros((2, 6))
+    twists[:, 0] = 0.5, 1.5  # metres to the right in the camera's frame
+    mean = RIG_FROM_CAMERA @ se3.inverse(at(1.0, 0.0, 0.0)) @ se3.inverse(RIG_FROM_CAMERA)
+    poses = np.tile(at(21.5, 0.0, 1.0), (2, 1, 1))
+    refined = replace(scene.actors["7"], trajectory=Trajectory(times, poses))
+    scene = replace(
+        scene,
+        actors={**scene.actors, "7": refined},
+        camera_corrections={"front": (times, twists)},
+        mounts={"front": mean},
+    )
+    virtual = replace(mount, source="front")
+    renderer = SceneRenderer(scene, {"front": mount, "virtual": virtual})
+
+    def middle(now: SimState, name: str) -> float:
+        red = renderer.render(now, [name])[name][24, :, 0] > 200
+        return float(np.flatnonzero(red).mean()) + 0.5
+
+    drive = RecordedDrive(log, ConstantVelocity())
+    for time, metres in zip(times.tolist(), (0.5, 1.5), strict=True):
+        logged = replace(drive.state(time), world_from_rig=at(10.0, 0.0, 0.0))
+        logged = replace(logged, others={"7": at(21.5, 4.0, 1.0)})  # as labelled
+        for name in ("front", "virtual"):
+            assert middle(logged, name) == pytest.approx(32 + 40 * metres / 10, abs=1.0)
+    # A simulated drive has not the noise of the log's poses, only what is the same at all times.
+    assert middle(state(), "front") == pytest.approx(32 + 40 * 1.0 / 10, abs=1.0)
 
 
 def test_a_scene_without_the_actor_is_refused(scene: StreetScene) -> None:

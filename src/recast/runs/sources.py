@@ -37,7 +37,7 @@ RECIPES = {
     "evaluation": 4,
     "truth": 5,
     "rollout": 10,
-    "plans": 2,
+    "plans": 3,
     "scene-level": 3,
     "metrics": 11,
     "report": 12,

@@ -13,6 +13,7 @@ from torch import Tensor
 
 from recast.arrays import Array, BoolArray, Float32Array, Int64Array
 from recast.cameras import PinholeCamera
+from recast.geometry import se3
 from recast.logs import Trajectory
 from recast.logs.checks import check_times
 from recast.scene.actor import (
@@ -265,9 +266,26 @@ class StreetScene:
         found = [np.interp(timestamp_us, times, flat[:, i]) for i in range(12)]
         return torch.tensor(found, dtype=torch.float32).view(3, 4)
 
-    def mounted(self, rig_from_camera: Array, camera_name: str) -> Array:
-        """Where a camera truly sits in the rig (4, 4): as calibrated, moved by the mean of what
-        training learned of its poses. The same holds for a virtual camera at its place."""
+    def mounted(
+        self,
+        rig_from_camera: Array,
+        camera_name: str,
+        timestamp_us: int = 0,
+        calibrated: Array | None = None,
+    ) -> Array:
+        """Where a camera truly sits in the rig (4, 4), or a virtual one at its place.
+
+        As calibrated, moved by the mean of what training learned of its poses: what of it changes
+        with time is the noise of the log's poses, which a simulated drive does not have.
+
+        Args:
+            calibrated: `rig_from_camera` (4, 4) of the log, if the rig stands where the log has it
+                at `timestamp_us`: then moved by what was learned there, noise and all.
+        """
+        if calibrated is not None:
+            logged = se3.inverse(calibrated)
+            here = se3.inverse(self.corrected_camera(logged, camera_name, timestamp_us))
+            return here @ logged @ rig_from_camera
         moved = self.mounts.get(camera_name)
         return rig_from_camera if moved is None else moved @ rig_from_camera
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Literal
 
 import cv2
@@ -205,6 +205,7 @@ class RecordedDrive:
             actor=np.zeros(4),
             world_from_actor=np.eye(4),
             others={key: one.at(time_us) for key, one in there.items() if one.covers(time_us)},
+            calibrated={key: one.rig_from_camera for key, one in self.log.cameras.items()},
         )
 
     def plans(
@@ -230,13 +231,21 @@ class RecordedDrive:
             calls.finish()
 
 
+@dataclass(frozen=True)
 class LoggedState(SimState):
-    """A state in which no actor is controlled."""
+    """A moment of the log: no actor is controlled."""
+
+    calibrated: Mapping[str, Array] = field(default_factory=dict)
 
     @property
     def actors(self) -> dict[str, SimActor]:
         """None."""
         return {}
+
+    @property
+    def log_mounts(self) -> Mapping[str, Array]:
+        """Those of the calibration."""
+        return self.calibrated
 
 
 @dataclass(frozen=True)

@@ -83,6 +83,13 @@ class SimState:
         controlled = {key: actor.world_from_actor for key, actor in self.actors.items()}
         return {**self.others, **controlled}
 
+    @property
+    def log_mounts(self) -> Mapping[str, Array]:
+        """`rig_from_camera` (4, 4) of the log's cameras, if this is a moment of the log: a scene
+        then has cameras and vehicles where training learned that they were. None in a simulation.
+        """
+        return {}
+
 
 @dataclass(frozen=True)
 class RolloutOrigin:

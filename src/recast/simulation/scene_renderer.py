@@ -60,7 +60,9 @@ class SceneRenderer(MountedRenderer):
         for name in camera_names:
             mount = self._mounts[name]
             source = mount.source or name
-            rig_from_camera = self.scene.mounted(mount.rig_from_camera, source)
+            rig_from_camera = self.scene.mounted(
+                mount.rig_from_camera, source, state.timestamp_us, state.log_mounts.get(source)
+            )
             camera_from_world = se3.inverse(state.world_from_rig @ rig_from_camera)
             image = draw_image(
                 self.rasterizer,
@@ -90,7 +92,9 @@ class SceneRenderer(MountedRenderer):
                     f"reconstruct or insert the actor first; the scene has models of {there}",
                 )
         # Other tracks that the scene modelled as background cannot be moved or drawn apart.
-        return {key: pose for key, pose in state.poses.items() if key in self.scene.actors}
+        poses = {key: pose for key, pose in state.poses.items() if key in self.scene.actors}
+        refined = self.scene.actor_poses(state.timestamp_us) if state.log_mounts else {}
+        return poses | {key: refined[key] for key in poses if key in refined}
 
 
 def draw_image(
