@@ -28,6 +28,7 @@ FUNCTIONS = (
     "reconstruct",
     "run_grid",
     "score",
+    "search",
     "Simulator",
     "write_report",
 )

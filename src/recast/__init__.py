@@ -31,6 +31,7 @@ if TYPE_CHECKING:
     from recast.face import reconstruct as reconstruct
     from recast.face import run_grid as run_grid
     from recast.face import score as score
+    from recast.face import search as search
     from recast.face import write_report as write_report
     from recast.logs import DrivingLog as DrivingLog
     from recast.logs import load_log as load_log
@@ -63,6 +64,7 @@ _PLACES = {
         "reconstruct",
         "run_grid",
         "score",
+        "search",
         "write_report",
     ),
     "recast.planning": ("Plan", "Planner", "PlannerInput", "make_planner"),

@@ -8,12 +8,12 @@ Every function also takes the folder of a log, scene or rollout in place of the 
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from rich.console import Console
 
@@ -25,6 +25,7 @@ from recast.core.errors import InputError
 from recast.core.plugins import SCENES
 from recast.logs import DrivingLog, HdMap, load_log, map_of, write_log
 from recast.metrics import RolloutMetrics, rollout_metrics
+from recast.metrics.table import SAMPLES
 from recast.reconstruction import (
     Preset,
     SceneConfig,
@@ -50,8 +51,11 @@ from recast.runs.sources import SourceLog, generator_source, segmenter_source
 from recast.scene import StreetScene, save_scene
 from recast.scene.exchange import IMPORT_FILE
 from recast.simulation import Rollout, load_rollout
-from recast.studies import resolve_bench, run_closed_loop
+from recast.studies import BenchSettings, resolve_bench, run_closed_loop
 from recast.studies.closed_loop import GridResults
+
+if TYPE_CHECKING:
+    from recast.studies.boundary import SearchAnswers  # needs the extra "search"
 
 Place = str | Path | Store
 _READERS: Readers = {DrivingLog: load_log, StreetScene: SCENES.resolve, Rollout: load_rollout}
@@ -277,10 +281,112 @@ def run_grid(
     >>> [(line.row.planner, line.row.arm) for line in grid.table][:2]
     [('idm-follower', 'native'), ('idm-follower', 'replaced')]
     """
-    drive: dict[str, Any] = {name: settings.pop(name) for name in _DRIVE if name in settings}
+    found = _bench(scenes, motions, arms, planners, track, quick, samples, settings)
+    return run_closed_loop(
+        found, Path(out), console or Console(quiet=True), workers=workers, ray=ray, store=store
+    )
+
+
+@checked()
+def search(
+    scenes: Sequence[str],
+    out: str | Path,
+    *,
+    over: Sequence[str] = (),
+    motions: Sequence[str] = (),
+    fixed: Mapping[str, float] | None = None,
+    objective: str = "at-fault",
+    design: str = "boundary",
+    trials: int = 60,
+    arms: Sequence[str] = (),
+    planners: Sequence[str] = (),
+    track: str | None = None,
+    fair_only: bool = True,
+    workers: int = 1,
+    ray: str | None = None,
+    store: str | Path | None = None,
+    database: str | Path | None = None,
+    study: str | None = None,
+    console: Console | None = None,
+    **settings: Any,
+) -> SearchAnswers:
+    """Find where in a range of settings planners begin to fail; what `recast search` does.
+
+    Args:
+        scenes: synthetic scenes such as "urban-straight:3", or log folders, LOG:TRACK.
+        out: folder of the study; one of the same settings goes on.
+        over: settings to vary, such as "gap=2:40" or "delay=0,1,2"; none for gap=2:40.
+        motions: motions whose settings are varied; none for cut-in-a.
+        fixed: values of other settings.
+        objective: what counts as a failure, see docs/search.md#objectives.
+        design: how trials are chosen, see docs/search.md#designs.
+        trials: number of trials for each log, motion, planner and arm.
+        arms: words for the arms, see docs/runs.md#arms; none for native and replaced.
+        planners: names, folders, or "module:attribute"; none for "idm-follower".
+        track: target track of log folders that are named without one.
+        fair_only: leave out scenarios that no driver could have mastered.
+        workers, ray, store: see `run_grid`.
+        database: SQLite file or address of the database; None for a file in `out`.
+        study: name of the study in the database; None for the name of `out`.
+        console: console that shows progress and results; None for silence.
+        settings: members of `RunConfig`, of `SceneConfig`, or of the synthetic drives.
+
+    Raises:
+        InputError: a setting is wrong, or `out` or the database holds another study.
+
+    >>> found = search([f"{folder}/log:0"], folder / "search", motions=["advancing-a"],
+    ...                over=["gap=1:4"], design="grid", trials=3, arms=["native"], steps=10)
+    >>> [(one.line.arm, len(one.trials), one.fails) for one in found.lines]
+    [('native', 3, 0)]
+    """
+    from recast.studies.search import resolve_search, run_search
+    from recast.studies.search_page import print_search, write_search
+
+    resolved = resolve_search(
+        lambda named: _bench(scenes, named, arms, planners, track, False, SAMPLES, settings),
+        motions=motions,
+        over=over,
+        fixed=fixed or {},
+        objective=objective,
+        design=design,
+        trials=trials,
+        seed=settings.get("seed", 0),
+    )
+    shown = console or Console(quiet=True)
+    results = run_search(
+        resolved,
+        Path(out),
+        shown,
+        workers=workers,
+        ray=ray,
+        store=store,
+        database=database,
+        study=study,
+    )
+    answers = write_search(results, Path(out), fair_only)
+    print_search(answers, shown)
+    return answers
+
+
+def _bench(
+    scenes: Sequence[str],
+    motions: Sequence[str],
+    arms: Sequence[str],
+    planners: Sequence[str],
+    track: str | None,
+    quick: bool,
+    samples: int,
+    settings: Mapping[str, Any],
+) -> BenchSettings:
+    """What a grid or a search runs; `settings` are members of all kinds."""
+    drive = {name: settings[name] for name in _DRIVE if name in settings}
     scene = {name: settings[name] for name in settings if name in SceneConfig.model_fields}
-    run = {name: value for name, value in settings.items() if name not in scene or name == "seed"}
-    found = resolve_bench(
+    run = {
+        name: value
+        for name, value in settings.items()
+        if name not in drive and (name not in scene or name == "seed")
+    }
+    return resolve_bench(
         words=list(scenes),
         track=track,
         motions=list(motions),
@@ -296,9 +402,6 @@ def run_grid(
             "arms": list(arms) or None,
             "planners": tuple(planners) or None,
         },
-    )
-    return run_closed_loop(
-        found, Path(out), console or Console(quiet=True), workers=workers, ray=ray, store=store
     )
 
 

@@ -143,4 +143,4 @@ def test_bad_input_is_one_line(
         shutil.rmtree(out, ignore_errors=True)
     other = command(tiny_log_folder, finished, vehicle, "--crop", "masked")
     assert main(other) == 2
-    assert "the folder contains another grid" in capsys.readouterr().err
+    assert "the folder contains other work" in capsys.readouterr().err

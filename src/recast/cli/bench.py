@@ -142,6 +142,99 @@ class ClosedLoop(_Grid):
 
 
 @dataclass(frozen=True, kw_only=True)
+class Search(_Grid):
+    """Find where in a range of settings a planner begins to fail: the boundary, its interval, the
+    mildest failure and the hardest success.
+
+    Trials are kept in a database, so the same command resumes a study that was stopped or killed,
+    and several processes and machines work on one.
+    """
+
+    scenes: tyro.conf.Positional[Annotated[tuple[str, ...], tyro.conf.arg(metavar="LOG")]]
+    """Log folders with the track to control (LOG:TRACK, or LOG and --track), or synthetic scenes
+    (NAME or NAME:SEED)."""
+    motion: Annotated[
+        shared.Names,
+        shared.option("Motion whose settings are varied. May be repeated.", "cut-in-a"),
+    ] = ()
+    over: Annotated[
+        shared.Names,
+        shared.option(
+            "Setting to vary, with its range or its values: gap=2:40 or delay=0,1,2. May be "
+            "repeated; the boundary is told along the first range.",
+            "gap=2:40",
+            metavar="SETTING=LOW:HIGH",
+        ),
+    ] = ()
+    set: Annotated[
+        shared.Names,
+        shared.option(
+            "Value of another setting. May be repeated.",
+            "those of the motion",
+            metavar="SETTING=VALUE",
+        ),
+    ] = ()
+    planner: Annotated[shared.Names, shared.PLANNER] = ()
+    planner_device: Annotated[str | None, shared.PLANNER_DEVICE] = None
+    restorer: Annotated[str | None, shared.RESTORER] = None
+    plan_timeout: Annotated[
+        float | None,
+        shared.option("Time limit of one plan in seconds; a slower plan fails its rollout."),
+    ] = None
+    objective: str = "at-fault"
+    """What counts as a failure: at-fault (a contact that the ego is to blame for), collision (any),
+    or a threshold of a measure, such as 'ttc<1', 'distance<0.5' or 'braking>4'."""
+    design: Literal["boundary", "bisect", "grid", "sobol"] = "boundary"
+    """How trials are chosen: boundary (a Gaussian process that seeks where the verdict changes),
+    bisect (along one range), grid or sobol (evenly)."""
+    trials: int = 60
+    """Number of trials for each log, motion, planner and arm."""
+    database: Annotated[
+        str | None,
+        shared.option(
+            "SQLite file or address of the database (postgresql://...).", "search.db in --out"
+        ),
+    ] = None
+    study: Annotated[
+        str | None, shared.option("Name of the study in the database.", "name of --out")
+    ] = None
+    unfair: bool = False
+    """Count scenarios, too, that no driver could have mastered."""
+
+    def __call__(self) -> None:
+        from recast.studies.boundary import search_rows
+        from recast.studies.search import parse_fixed, resolve_search, run_search
+        from recast.studies.search_page import print_search, write_search
+
+        settings = resolve_search(
+            lambda motions: self._settings(motions, films=False),
+            motions=self.motion,
+            over=self.over,
+            fixed=parse_fixed(self.set),
+            objective=self.objective,
+            design=self.design,
+            trials=self.trials,
+            seed=self.seed or 0,
+        )
+        console = console_for(self.json)
+        results = run_search(
+            settings,
+            self.out,
+            console,
+            workers=self.workers,
+            ray=self.ray,
+            store=self.store,
+            database=self.database,
+            study=self.study,
+        )
+        answers = write_search(results, self.out, fair_only=not self.unfair)
+        print_search(answers, console)
+        console.print(f"wrote {self.out}", markup=False)
+        if self.json:
+            print_json(search_rows(answers))
+
+
+@dataclass(frozen=True, kw_only=True)
 class SceneLevel(_Grid):
     """Score how real and how complete the images of each arm look: Frechet distances, CLIP, VQA
     and LPIPS scores of whole frames and of vehicle crops.

@@ -22,7 +22,7 @@ import tyro
 from tyro import _errors as refused  # private: pyproject.toml bounds tyro's version
 
 from recast.cli import shared
-from recast.cli.bench import Bench
+from recast.cli.bench import Bench, Search
 from recast.cli.eval import Eval
 from recast.cli.log import Log, Scenario
 from recast.cli.machine import Doctor, Store, Trellis, Weights
@@ -60,6 +60,7 @@ COMMANDS: shared.Commands = shared.with_installed(
         "trellis": Trellis,
         "scenario": Scenario,
         "run": Run,
+        "search": Search,
         "report": Report,
         "view": ViewCommand,
         "store": Store,

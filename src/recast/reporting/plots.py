@@ -56,7 +56,8 @@ class Figure:
     Args:
         horizontal: label of the horizontal axis, with its unit.
         every: distance between the numbers of the horizontal axis; None chooses one.
-        end, low, high: the horizontal axis goes from 0 to `end`, the vertical from `low` to `high`.
+        end, low, high: the horizontal axis goes to `end`, the vertical from `low` to `high`.
+        start: where the horizontal axis begins.
     """
 
     def __init__(
@@ -67,14 +68,16 @@ class Figure:
         label: str,
         horizontal: str = "time [s]",
         every: float | None = None,
+        start: float = 0.0,
     ) -> None:
-        self.end, self.low, self.high = max(end, 1e-9), low, max(high, low + 1e-9)
+        self.start, self.end = start, max(end, start + 1e-9)
+        self.low, self.high = low, max(high, low + 1e-9)
         self._parts: list[str] = []
         for value in ticks(self.low, self.high, 5):
             y = self._y(value)
             self._rule(_LEFT, y, _RIGHT, y, FAINT)
             self._text(_LEFT - 8, y + 4, f"{value:g}", "end")
-        for value in ticks(0.0, self.end, 8, every):
+        for value in ticks(start, self.end, 8, every):
             x = self._x(value)
             self._rule(x, _TOP, x, _BOTTOM, FAINT)
             self._text(x, _BOTTOM + 19, f"{value:g}", "middle")
@@ -96,13 +99,22 @@ class Figure:
         )
 
     def dots(
-        self, x: ArrayLike, y: ArrayLike, colour: str, radius: float = 3.0, opacity: float = 1.0
+        self,
+        x: ArrayLike,
+        y: ArrayLike,
+        colour: str,
+        radius: float = 3.0,
+        opacity: float = 1.0,
+        hollow: bool = False,
     ) -> None:
-        """Draw discs of `radius` pixels at points (N,)."""
+        """Draw discs of `radius` pixels at points (N,), or their outlines."""
         discs = "".join(
             f'<circle cx="{a:.1f}" cy="{b:.1f}" r="{radius:g}"/>' for a, b in self._points(x, y)
         )
-        self._parts.append(f'<g fill="{colour}" fill-opacity="{opacity:g}">{discs}</g>')
+        paint = f'fill="{colour}" fill-opacity="{opacity:g}"'
+        if hollow:
+            paint = f'fill="none" stroke="{colour}" stroke-opacity="{opacity:g}"'
+        self._parts.append(f"<g {paint}>{discs}</g>")
 
     def cross(self, x: float, y: float, colour: str) -> None:
         """Draw a cross at a point."""
@@ -141,7 +153,7 @@ class Figure:
         """Draw bars (N,) that begin at `x` and reach from `low` to `high`."""
         boxes = []
         for (a, b), (_, c) in zip(self._points(x, low), self._points(x, high), strict=True):
-            w = min(self._x(width) - self._x(0.0), _RIGHT - a)
+            w = min(self._x(self.start + width) - _LEFT, _RIGHT - a)
             boxes.append(f'<rect x="{a:.1f}" y="{c:.1f}" width="{w:.1f}" height="{b - c:.1f}"/>')
         # An edge of the same colour: the page would shine through between the bars.
         joined = "".join(boxes)
@@ -156,7 +168,7 @@ class Figure:
         return Plot(title, alt, svg, _LEFT / WIDTH, _RIGHT / WIDTH, self.end)
 
     def _x(self, value: float) -> float:
-        return _LEFT + (_RIGHT - _LEFT) * float(value) / self.end
+        return _LEFT + (_RIGHT - _LEFT) * (float(value) - self.start) / (self.end - self.start)
 
     def _y(self, value: float) -> float:
         share = (float(value) - self.low) / (self.high - self.low)

@@ -135,7 +135,7 @@ def start_rollout(setup: RolloutSetup, seed: int = 0) -> RolloutStart:
     ]
     for actor in actors:
         path = actor.states[: steps + 1, :2]
-        s = _along(route, path, target.ego_s)
+        s = along_route(route, path, target.ego_s)
         outside = actor.road.outside(path, s)
         if np.any(outside):
             steps, ending = int(np.argmax(outside)) - 1, Ending.ACTOR
@@ -160,7 +160,7 @@ def start_rollout(setup: RolloutSetup, seed: int = 0) -> RolloutStart:
     )
 
 
-def _along(route: ReferenceRoute, path: Array, ego_s: float) -> Array:
+def along_route(route: ReferenceRoute, path: Array, ego_s: float) -> Array:
     """Route coordinates (T,) of an actor's places (T, 2): the first one on the stretch about the
     ego, if it is beside that."""
     stretch = ego_s + REACH * np.arange(-_STRETCH, _STRETCH + 1)

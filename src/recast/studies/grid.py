@@ -230,27 +230,28 @@ class BenchSettings:
         }
 
 
-def begin(out: Path, record: Mapping[str, Any]) -> None:
-    """Take `out` for the grid of this record, or go on with it there.
+def begin(out: Path, record: Mapping[str, Any], file: str = RECORD_FILE) -> None:
+    """Take `out` for the grid or search of this record, or go on with it there.
 
     Raises:
         InputError: it holds something else; nothing is written then.
     """
-    path = out / RECORD_FILE
+    path = out / file
     if path.is_file():
         found = files.read_json(path)
         if not isinstance(found, dict) or found.get("format") != record["format"]:
-            raise InputError(path, "format", "is not that of a grid", "give another `out`")
+            problem = f"is not that of a {record['format']}"
+            raise InputError(path, "format", problem, "give another `out`")
         differing = first_difference({name: found.get(name) for name in record}, dict(record))
         if differing is not None:
             raise InputError(
                 path,
                 differing,
-                "differs: the folder contains another grid",
-                "give another `out`, or repeat the options of the grid in this folder",
+                "differs: the folder contains other work",
+                "give another `out`, or repeat the options that it was made with",
             )
         return
-    claim_empty(out, RECORD_FILE)
+    claim_empty(out, file)
     files.write_json(path, record)
 
 

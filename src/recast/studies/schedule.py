@@ -284,7 +284,7 @@ def _start(
 
 
 class BenchWorker:
-    """Does tasks one after the other, and keeps the scene of the last open.
+    """Does tasks one after the other, and keeps the scenes of the last ones open, `kept` of them.
 
     Whatever a task raises is its outcome: no scene and no planner ends the grid.
 
@@ -293,12 +293,14 @@ class BenchWorker:
         fetch: function that gets the artefacts that come with a task, see `ParcelDepot`.
     """
 
+    kept = 1
+
     def __init__(
         self, store: Store, settings: BenchSettings, retry_failures: bool, fetch: Fetch | None
     ) -> None:
         self._store, self._settings, self._retry = store, settings, retry_failures
         self._fetch = fetch
-        self._open: tuple[str, SceneRun] | None = None
+        self._open: dict[str, SceneRun] = {}
 
     @cached_property
     def _sources(self) -> Sources:
@@ -347,22 +349,23 @@ class BenchWorker:
         return (artefact.record.kind == "rollouts") == isinstance(task, RolloutTask)
 
     def _scene_run(self, task: GridTask) -> SceneRun:
-        if self._open is None or self._open[0] != task.scene.id:
-            self.close()
+        found = self._open.pop(task.scene.id, None)
+        if found is None:
+            while len(self._open) >= self.kept:
+                self._open.pop(next(iter(self._open))).artefacts.close()
             log = None
             if task.log is not None:
                 log = self._store.open(task.log)
             elif task.scene.log is None:
                 log = log_artefact(self._store, task.scene, self._settings)
-            run = SceneRun(self._store, task.scene, self._settings, log, self._sources)
-            self._open = task.scene.id, run
-        return self._open[1]
+            found = SceneRun(self._store, task.scene, self._settings, log, self._sources)
+        self._open[task.scene.id] = found  # the last one used is the last one let go of
+        return found
 
     def close(self) -> None:
-        """Let go of the scene."""
-        if self._open is not None:
-            self._open[1].artefacts.close()
-            self._open = None
+        """Let go of the scenes."""
+        while self._open:
+            self._open.popitem()[1].artefacts.close()
 
     def _make_rollout(self, task: RolloutTask, run: SceneRun) -> RolloutTimes | None:
         timings, began = Timings(), time.perf_counter()

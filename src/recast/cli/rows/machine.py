@@ -47,6 +47,7 @@ _OPTIONAL = {
     ),
     "embreex": ("synthetic worlds, the demo", "pip install 'recast-sim[synthetic]'"),
     "mitsuba": ("better light in synthetic worlds", "pip install 'recast-sim[mitsuba]'"),
+    "optuna": ("searches over scenarios", "pip install 'recast-sim[search]'"),
     "gsplat": ("rasterize on CUDA", "pip install 'recast-sim[cuda]'"),
     "ray": ("batches on several machines", "pip install 'recast-sim[distributed]'"),
     "accelerate": ("training on several GPUs", "pip install 'recast-sim[distributed]'"),
