@@ -8,7 +8,15 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from recast.core.errors import InputError
-from recast.studies.designs import Axis, Design, MarginField, Point, next_along, parse_axis
+from recast.studies.designs import (
+    Axis,
+    Design,
+    MarginField,
+    Point,
+    next_along,
+    parse_axis,
+    telling,
+)
 
 GAP, SPEED = parse_axis("gap=2:40"), parse_axis("speed=0.3:1.2")
 
@@ -192,3 +200,26 @@ def test_trials_without_a_verdict_do_not_stop_the_search() -> None:
     results = run(design, lambda point: None)  # all fail: evenly spread to the end
     assert len({point for point, _ in results}) == 28
     assert len(run(design, lambda point: 5.0)) == 28  # nothing ever fails
+
+
+def test_no_point_is_tried_twice_and_few_where_nothing_can_be_learned() -> None:
+    """A third of the region is refused, say because it lies off the road."""
+    design = Design("boundary", (GAP, SPEED), 60, seed=1)
+    results = run(design, lambda point: None if point[1] < 0.6 else margin(point))
+    assert len({point for point, _ in results}) == 60
+    refused = sum(found is None for _, found in results)
+    assert refused < 20
+    field = MarginField.fit(design, results)
+    for speed in (0.7, 0.9, 1.1):
+        true = 12.0 - 7.0 * speed + 3.0 * np.sin(4 * speed)
+        [mean], _ = field.at(design.shares([(true, speed)]))
+        assert abs(mean) < 0.15
+
+
+def test_of_very_many_results_those_at_the_boundary_tell() -> None:
+    many = [((float(i),), i - 5000.0) for i in range(10_000)]
+    some = telling(many, 400)
+    assert len(some) == 400 == len(set(some))
+    assert sum(abs(margin) <= 100 for _, margin in some) >= 200
+    assert some[0][0] == (0.0,) and some[-1][0] == (9999.0,)
+    assert telling(many[:300], 400) == many[:300]

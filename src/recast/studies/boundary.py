@@ -134,9 +134,10 @@ def _answer(
 ) -> LineAnswer:
     told = [one for one in trials if one.margin is not None]
     missing = [one for one in trials if one.result is not None and one.margin is None]
-    refused = tuple(one for one in missing if one.result and one.result.get("refused"))
+    kinds = [bool((one.result or {}).get("refused")) for one in missing]
+    refused = tuple(one for one, kind in zip(missing, kinds, strict=True) if kind)
     unfair = tuple(one for one in told if fair_only and not is_fair(one))
-    counted = tuple(one for one in told if one not in unfair)
+    counted = tuple(one for one in told if not fair_only or is_fair(one))
     fails = [one for one in counted if _fails(one)]
     passes = [one for one in counted if not _fails(one)]
     field = None
@@ -152,7 +153,7 @@ def _answer(
         counted,
         unfair,
         refused,
-        tuple(one for one in missing if one not in refused),
+        tuple(one for one, kind in zip(missing, kinds, strict=True) if not kind),
         len(fails),
         _share(design, counted, unfair, field, len(fails)),
         crossings,

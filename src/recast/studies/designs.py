@@ -268,19 +268,34 @@ def _boundary(design: Design, results: Results, count: int) -> list[Point]:
     if all(margin is None for _, margin in results):
         return _sobol(design, results, count)
     field = MarginField.fit(design, results)
-    pool = sobol_shares(design, begin, _CANDIDATES)
-    pool = np.unique(design.shares([design.point(one) for one in pool]), axis=0)
+    pool = _candidates(design, results, begin)
     chosen: list[Point] = []
-    for _ in range(count):
+    for _ in range(min(count, len(pool))):
         mean, deviation = field.at(pool)
         best = int(np.argmax(_STRADDLE * deviation - np.abs(mean)))
         chosen.append(design.point(pool[best]))
         # The next of the batch sees this one as if it had come out as expected.
         field = field.believing(pool[best], float(mean[best]))
-    return chosen
+        pool = np.delete(pool, best, axis=0)
+    return chosen or _sobol(design, results, count)
 
 
-_CANDIDATES = 1024
+def _candidates(design: Design, results: Results, begin: int) -> Array:
+    """Shares (N, d) of points that were not tried yet, and whose nearest neighbour among the tried
+    ones has a verdict: where scenarios are refused or planners fail nothing can be learned."""
+    tried = {point for point, _ in results}
+    sequence = sobol_shares(design, begin, _CANDIDATES)
+    # Some lie on the border: a boundary in a corner shows nowhere else.
+    sequence = np.clip(0.5 + _OVER_THE_BORDER * (sequence - 0.5), 0.0, 1.0)
+    points = dict.fromkeys(design.point(one) for one in sequence)
+    pool = design.shares([point for point in points if point not in tried])
+    known = design.shares([point for point, _ in results])
+    nearest = np.argmin(((pool[:, None] - known[None]) ** 2).sum(axis=-1), axis=1)
+    told = np.array([margin is not None for _, margin in results])[nearest]
+    return pool[told] if told.any() else pool
+
+
+_CANDIDATES, _OVER_THE_BORDER = 1024, 1.08
 _STRADDLE = 1.96
 """Deviations by which a point may be off that still counts as near the boundary: the straddle
 heuristic (Bryan et al., "Active learning for identifying function threshold boundaries", 2005)."""
@@ -288,6 +303,20 @@ heuristic (Bryan et al., "Active learning for identifying function threshold bou
 
 def _begin(design: Design) -> int:
     return min(design.trials, 4 + 6 * len(design.axes))
+
+
+_FITTED = 400
+
+
+def telling(measured: Sequence[tuple[Point, float]], most: int) -> Sequence[tuple[Point, float]]:
+    """At most so many of the results: half of them those nearest to the boundary, the others spread
+    over the rest; in their order."""
+    if len(measured) <= most:
+        return measured
+    order = np.argsort([abs(margin) for _, margin in measured], kind="stable")
+    near, rest = order[: most // 2], np.sort(order[most // 2 :])
+    spread = rest[np.linspace(0, len(rest) - 1, most - len(near)).astype(int)]
+    return [measured[i] for i in np.sort(np.concatenate([near, spread]))]
 
 
 @dataclass(frozen=True)
@@ -306,11 +335,14 @@ class MarginField:
 
     @classmethod
     def fit(cls, design: Design, results: Results) -> MarginField:
-        """Fit length scales to results; those without a margin count for nothing."""
+        """Fit length scales to results; those without a margin count for nothing.
+
+        Of very many, to `telling` ones: a process takes the cube of their number.
+        """
         from sklearn.gaussian_process import GaussianProcessRegressor  # takes a second to import
         from sklearn.gaussian_process.kernels import ConstantKernel, Matern, WhiteKernel
 
-        measured = [(point, margin) for point, margin in results if margin is not None]
+        measured = telling([(p, margin) for p, margin in results if margin is not None], _FITTED)
         shares = design.shares([point for point, _ in measured])
         margins = np.clip([margin for _, margin in measured], -CLIPPED, CLIPPED) / CLIPPED
         scales = np.full(len(design.axes), 0.3)
@@ -352,8 +384,8 @@ class _Kind:
 DESIGNS: Mapping[str, _Kind] = {
     "boundary": _Kind(_boundary, 12, 4),
     "bisect": _Kind(_bisect, 3, 1),
-    "grid": _Kind(_grid, 1, 256),
-    "sobol": _Kind(_sobol, 1, 256),
+    "grid": _Kind(_grid, 1, 64),
+    "sobol": _Kind(_sobol, 1, 64),
 }
 """By name: a Gaussian process that seeks where the verdict changes; halving along one range;
 equally spaced values; a Sobol sequence."""

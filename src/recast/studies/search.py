@@ -422,8 +422,7 @@ class LineTrials:
             claimed.set_user_attr("result", dict(result))
             state = TrialState.FAIL if margin is None else TrialState.COMPLETE
             self._study.tell(claimed, margin, state=state, skip_if_finished=True)
-        place = next(i for i, one in enumerate(self.trials) if one.number == trial.number)
-        self.trials[place] = replace(trial, result=result)
+        self.trials[trial.index] = replace(trial, result=result)
         self.done += 1
 
 

@@ -32,7 +32,7 @@ from recast.studies.boundary import (
     search_rows,
     sentence,
 )
-from recast.studies.designs import Axis
+from recast.studies.designs import Axis, telling
 from recast.studies.search import (
     SEARCH_FORMAT,
     SEARCH_VERSION,
@@ -243,6 +243,17 @@ def _rows(answers: Sequence[LineAnswer], axes: Sequence[Axis]) -> list[list[str]
     ]
 
 
+_MOST_DRAWN = 1500
+"""Trials that a plot shows at most, so that a page of very many opens."""
+
+
+def _drawn(told: Sequence[Trial]) -> Sequence[Trial]:
+    if len(told) <= _MOST_DRAWN:
+        return told
+    numbered = [((float(i),), trial.margin or 0.0) for i, trial in enumerate(told)]
+    return [told[int(place[0])] for place, _ in telling(numbered, _MOST_DRAWN)]
+
+
 _GOOD, _BAD = "#2a9d63", "#d03a3a"
 
 
@@ -267,7 +278,7 @@ def _plot(
         y = (trial.margin or 0.0) if second is None else trial.point[axes.index(second)]
         return trial.point[first], y
 
-    told = [trial for trial in (*one.trials, *one.unfair) if trial.margin is not None]
+    told = _drawn([trial for trial in (*one.trials, *one.unfair) if trial.margin is not None])
     for fails in (False, True):
         for fair in (True, False):
             chosen = [t for t in told if ((t.margin or 0) < 0) == fails and is_fair(t) == fair]
