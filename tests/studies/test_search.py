@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import shutil
 import sqlite3
 import subprocess
@@ -188,6 +189,42 @@ def test_impossible_scenarios_are_told_apart(log: Path, tmp_path: Path) -> None:
     assert line["impossible"] > 0 and line["failed"] == 0
     refused = [row for row in trials(out) if row["refused"]]
     assert any("overlap" in row["failure"] for row in refused)
+
+
+def test_a_version_that_fails_anew_is_told_and_ends_with_code_1(
+    log: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    options = ("--arm", "native", "--design", "sobol")
+    before, after = tmp_path / "before", tmp_path / "after"
+    assert main(command(log, before, *options)) == 0
+    planner = ("--planner", "constant-velocity")
+    against = ("--compare", str(before), "--most-new")
+    capsys.readouterr()
+    assert main(command(log, after, *options, *planner, *against, "0.9")) == 0
+    told = " ".join(capsys.readouterr().out.split())
+    found = re.search(r"(\d+) trials in both studies: (\d+) failures new, 0 gone", told)
+    assert found is not None and int(found[2]) > 0 and "new: synthetic-7/" in told
+    assert main(command(log, after, *options, *planner, *against, "0")) == 1
+    assert main(command(log, before, *options, "--compare", str(after), "--most-new", "0")) == 0
+    assert f"0 failures new, {found[2]} gone" in " ".join(capsys.readouterr().out.split())
+
+
+@pytest.mark.parametrize(
+    ("more", "problem"),
+    [
+        (("--compare", "nowhere"), "trials: are missing"),
+        (("--most-new", "0.1"), "--compare: folder: is missing"),
+    ],
+)
+def test_a_wrong_comparison_is_one_line(
+    more: tuple[str, ...],
+    problem: str,
+    log: Path,
+    finished: Path,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    assert main(command(log, finished, "--arm", "native", *more)) == 2
+    assert problem in " ".join(capsys.readouterr().err.split())
 
 
 def open_book(path: Path) -> StudyDatabase:

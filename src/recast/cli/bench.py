@@ -11,6 +11,7 @@ import tyro
 
 from recast.cli import shared
 from recast.cli.shared import JSON, console_for, print_json
+from recast.core.errors import InputError
 
 if TYPE_CHECKING:
     from recast.studies import BenchSettings
@@ -200,11 +201,30 @@ class Search(_Grid):
     ] = None
     unfair: bool = False
     """Count scenarios, too, that no driver could have mastered."""
+    reports: bool = False
+    """Drive the mildest failures and the hardest successes again, with films and a report."""
+    compare: Annotated[
+        Path | None,
+        shared.option("Folder of an earlier study: tell which failures are new, and which gone."),
+    ] = None
+    most_new: Annotated[
+        float | None,
+        shared.option("With --compare: exit with code 1 if a larger share of trials fails anew."),
+    ] = None
 
-    def __call__(self) -> None:
-        from recast.studies.boundary import search_rows
+    def __call__(self) -> int:
+        from recast.studies.boundary import compare, search_rows
         from recast.studies.search import parse_fixed, resolve_search, run_search
-        from recast.studies.search_page import print_search, write_search
+        from recast.studies.search_page import (
+            print_comparison,
+            print_search,
+            report_examples,
+            write_search,
+        )
+
+        if self.most_new is not None and self.compare is None:
+            mend = "name the earlier study, or leave --most-new out"
+            raise InputError("--compare", "folder", "is missing", mend)
 
         settings = resolve_search(
             lambda motions: self._settings(motions, films=False),
@@ -228,10 +248,19 @@ class Search(_Grid):
             study=self.study,
         )
         answers = write_search(results, self.out, fair_only=not self.unfair)
+        if self.reports:
+            report_examples(answers, self.out, console, self.store)
+            answers = write_search(results, self.out, fair_only=not self.unfair)
         print_search(answers, console)
         console.print(f"wrote {self.out}", markup=False)
         if self.json:
             print_json(search_rows(answers))
+        if self.compare is None:
+            return 0
+        against = compare(answers, self.compare)
+        print_comparison(against, settings.design, console)
+        share = len(against.new) / against.common
+        return int(self.most_new is not None and share > self.most_new)
 
 
 @dataclass(frozen=True, kw_only=True)

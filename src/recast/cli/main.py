@@ -117,7 +117,7 @@ def main(args: Sequence[str] | None = None) -> int:
             _LOG.debug("recast %s: %s", __version__, words)
         command = _command(words)
         with _system_errors():
-            command()
+            code = command()
     except InputError as error:
         _LOG.debug("refused", exc_info=True)
         print(f"recast: {line_of(error, command)}", file=sys.stderr)
@@ -134,7 +134,7 @@ def main(args: Sequence[str] | None = None) -> int:
         _LOG.critical("a fault of recast or of a plug-in", exc_info=True)
         raise
     _LOG.debug("done")
-    return 0
+    return code if isinstance(code, int) else 0
 
 
 @contextmanager

@@ -6,12 +6,15 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from itertools import pairwise, product
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from scipy.stats import binomtest, norm, qmc
 
 from recast.arrays import Array
+from recast.core.errors import InputError
+from recast.core.table_files import read_parquet
 from recast.metrics.table import Bootstrap, cluster_bootstrap
 from recast.runs.arms import truth_of
 from recast.studies.designs import CLIPPED, Axis, Design, MarginField, Point
@@ -307,6 +310,63 @@ def _by_row(found: Sequence[Crossing]) -> dict[Point, list[Crossing]]:
     for one in found:
         rows.setdefault(one.others, []).append(one)
     return rows
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """A study against an earlier one, at the points that both have tried.
+
+    Attributes:
+        common: number of those with a verdict in both.
+        new: trials that fail now and did not, with their lines.
+        gone: trials that failed and do not now.
+    """
+
+    common: int
+    new: tuple[tuple[SearchLine, Trial], ...]
+    gone: tuple[tuple[SearchLine, Trial], ...]
+
+
+def compare(found: SearchAnswers, earlier: Path) -> Comparison:
+    """Compare with an earlier study: of another version of a planner, or of another planner if both
+    studies have one each. Scenarios that no driver could have mastered are left out as in `found`.
+
+    Raises:
+        InputError: the folder has no finished study, or none of the same logs, motions, arms and
+            points.
+    """
+    axes = [axis.name for axis in found.results.settings.design.axes]
+    names = [*_LINE, *axes, "margin"]
+    path = earlier / TRIALS_FILE
+    if not path.is_file():
+        raise InputError(path, "trials", "are missing", "give the folder of a finished search")
+    table = read_parquet(path, names, "give the folder of a finished search of these settings").data
+    rows = list(zip(*(table[name].to_pylist() for name in names), strict=True))
+    planners = {row[2] for row in rows}
+    known = {(*row[:2], row[3], *row[4:-1], row[2]): row[-1] for row in rows}
+    common, new, gone = 0, [], []
+    single = len({one.line.planner for one in found.lines}) == len(planners) == 1
+    for one in found.lines:
+        planner = next(iter(planners)) if single else one.line.planner
+        place = (one.line.scene, one.line.motion, one.line.arm)
+        for trial in one.trials:
+            before = known.get((*place, *trial.point, planner))
+            if before is None:
+                continue
+            common += 1
+            if _fails(trial) and before >= 0:
+                new.append((one.line, trial))
+            elif not _fails(trial) and before < 0:
+                gone.append((one.line, trial))
+    if common == 0:
+        problem = "has none of the logs, motions, arms and points of this study"
+        mend = "compare studies of one design and seed; sobol and grid try the same points"
+        raise InputError(path, "trials", problem, mend)
+    return Comparison(common, tuple(new), tuple(gone))
+
+
+_LINE = ("scene", "motion", "planner", "arm")
+TRIALS_FILE = "trials.parquet"
 
 
 def sentence(answer: LineAnswer, axes: Sequence[Axis]) -> str:

@@ -22,7 +22,6 @@ from recast.core import files, value_hash
 from recast.core.diagnostics import ProgressBar
 from recast.core.errors import InputError
 from recast.metrics import rollout_metrics
-from recast.runs.config import RunConfig
 from recast.runs.rollouts import read_rollout
 from recast.runs.run_folder import first_difference
 from recast.simulation import ScriptedMotion, motion, motion_of_record, scenario_name
@@ -651,10 +650,3 @@ def run_search(
                     time.sleep(_POLL)
     lines = {line: tuple(trials.trials) for line, trials in desk.lines.items()}
     return SearchResults(settings, lines, desk.failed)
-
-
-def scenario_config(config: RunConfig, record: Mapping[str, Any]) -> RunConfig:
-    """A run of one scenario of a study, with films: for its report."""
-    name = f"{record['name']}-{next(iter(record['settings']))}"
-    update = {"motions": (name,), "own_motions": {name: dict(record)}, "films": True}
-    return config.model_copy(update=update)

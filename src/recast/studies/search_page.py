@@ -12,7 +12,7 @@ import pyarrow as pa
 import yaml
 from rich.console import Console
 
-from recast.core import files
+from recast.core import files, open_store
 from recast.core.errors import printable
 from recast.core.files import folder_name
 from recast.core.table_files import write_parquet
@@ -21,8 +21,12 @@ from recast.reporting import drawing
 from recast.reporting.page import render_template
 from recast.reporting.plots import INK, Figure, Plot
 from recast.runs.display import narrow_table
+from recast.runs.run import run
+from recast.runs.run_folder import STORE_FOLDER
 from recast.studies.boundary import (
+    TRIALS_FILE,
     BoundaryDistance,
+    Comparison,
     LineAnswer,
     SearchAnswers,
     along,
@@ -32,7 +36,8 @@ from recast.studies.boundary import (
     search_rows,
     sentence,
 )
-from recast.studies.designs import Axis, telling
+from recast.studies.designs import Axis, Design, telling
+from recast.studies.scene_run import log_artefact, open_scene
 from recast.studies.search import (
     SEARCH_FORMAT,
     SEARCH_VERSION,
@@ -42,8 +47,8 @@ from recast.studies.search import (
     told_point,
 )
 
-RESULTS_FILE, TRIALS_FILE, PAGE_FILE = "results.json", "trials.parquet", "index.html"
-SCENARIOS_FOLDER = "scenarios"
+RESULTS_FILE, PAGE_FILE = "results.json", "index.html"
+SCENARIOS_FOLDER, REPORTS_FOLDER = "scenarios", "reports"
 
 
 def write_search(results: SearchResults, out: Path, fair_only: bool = True) -> SearchAnswers:
@@ -66,9 +71,45 @@ def write_search(results: SearchResults, out: Path, fair_only: bool = True) -> S
                 path.parent.mkdir(exist_ok=True)
                 text = yaml.safe_dump(scenario, sort_keys=False, allow_unicode=True)
                 files.write_text(path, text)
-    page = render_template("search.html", search=_view(found))
+    page = render_template("search.html", search=_view(found, out))
     files.write_text(out / PAGE_FILE, page)
     return found
+
+
+def report_examples(
+    found: SearchAnswers, out: Path, console: Console, store: str | Path | None = None
+) -> None:
+    """Drive the examples of every log again, with films and a report: `reports/LOG/report`.
+
+    Of each motion and planner those of one arm, the first that replaces the vehicle, or else the
+    first: all arms drive them. The page of `write_search` shows reports that are there.
+
+    Raises:
+        InputError: see `recast.runs.run.run`.
+    """
+    settings = found.results.settings
+    bench = settings.bench
+    place = open_store(str(out.absolute().parent / STORE_FOLDER if store is None else store))
+    arm = next((one.name for one in bench.run.arms if one.generates), bench.run.arms[0].name)
+    for scene in bench.scenes:
+        own: dict[str, dict[str, Any]] = {}
+        for one in found.lines:
+            if one.line.scene != scene.id or one.line.arm != arm:
+                continue
+            number = 1 + bench.run.planners.index(one.line.planner)
+            for which, words in EXAMPLES.items():
+                trial = getattr(one, which)
+                if trial is not None:
+                    setting = words if len(bench.run.planners) == 1 else f"{words}-{number}"
+                    record = settings.scenario(one.line.motion, trial.point, setting)
+                    own[f"{record['name']}-{setting}"] = record
+        if not own:
+            continue
+        log = log_artefact(place, scene, bench) if scene.log is None else None
+        source, config = open_scene(scene, bench, log)
+        update = {"motions": tuple(own), "own_motions": own, "films": True}
+        target = out / REPORTS_FOLDER / folder_name(scene.id)
+        run(source.path, target, config.model_copy(update=update), console, str(place.root))
 
 
 EXAMPLES = {"mildest": "mildest-failure", "hardest": "hardest-success"}
@@ -126,6 +167,21 @@ def print_search(found: SearchAnswers, console: Console) -> None:
     console.print(table)
 
 
+def print_comparison(found: Comparison, design: Design, console: Console) -> None:
+    """Print which failures are new and which are gone."""
+    words = f"{found.common} trials in both studies: {len(found.new)} failures new, "
+    console.print(f"{words}{len(found.gone)} gone", markup=False, highlight=False)
+    for kind, trials in (("new", found.new), ("gone", found.gone)):
+        for line, trial in trials[:_SHOWN]:
+            told = f"  {kind}: {line.name}, {told_point(design.axes, trial.point)}"
+            console.print(printable(told), markup=False, highlight=False)
+        if len(trials) > _SHOWN:
+            console.print(f"  and {len(trials) - _SHOWN} more {kind}", markup=False)
+
+
+_SHOWN = 5
+
+
 def _distance_cells(one: BoundaryDistance) -> list[str]:
     logs = "1 log" if one.scenes == 1 else f"{one.scenes} logs"
     return [
@@ -147,7 +203,7 @@ def _counted(one: LineAnswer) -> str:
     return words
 
 
-def _view(found: SearchAnswers) -> dict[str, Any]:
+def _view(found: SearchAnswers, out: Path) -> dict[str, Any]:
     """What search.html shows."""
     settings = found.results.settings
     axes = settings.design.axes
@@ -160,9 +216,11 @@ def _view(found: SearchAnswers) -> dict[str, Any]:
     groups = []
     for (scene, motion, planner), lines in groupby(found.lines, group):
         answers = list(lines)
+        report = f"{REPORTS_FOLDER}/{folder_name(scene)}/report/index.html"
         groups.append(
             {
                 "title": f"{planner}, {motion}, {scene}",
+                "report": report if (out / report).is_file() else None,
                 "arms": [
                     {
                         "name": one.line.arm,
