@@ -67,3 +67,17 @@ def test_three_nodes_measure_the_same_images(
     for name in ("scene_level.parquet", "results.json", "table.md", "figure_advancing.png"):
         here = (tmp_path / "here" / "grid" / name).read_bytes()
         assert (tmp_path / "there" / "grid" / name).read_bytes() == here, name
+
+
+@pytest.mark.slow
+def test_three_nodes_try_the_same_trials(
+    cluster: str, tiny_log_folder: Path, tmp_path: Path
+) -> None:
+    command = ["search", f"{tiny_log_folder}:0", *OPTIONS[2:], "--motion", "advancing-a"]
+    command += ["--over", "gap=1:4", "--over", "speed=0.2:0.6", "--trials", "20"]
+    assert main([*command, "--out", str(tmp_path / "here" / "study")]) == 0
+    there = [*command, "--out", str(tmp_path / "there" / "study"), "--ray", cluster]
+    assert main([*there, "--workers", "3"]) == 0
+    for name in ("trials.parquet", "results.json"):
+        here = (tmp_path / "here" / "study" / name).read_bytes()
+        assert (tmp_path / "there" / "study" / name).read_bytes() == here, name
