@@ -113,7 +113,7 @@ def test_more_trials_go_on_with_the_same_study(finished: Path, log: Path, tmp_pa
 def test_another_study_is_refused_in_folder_and_database(
     finished: Path, log: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    other = command(log, finished, "--arm", "native", "--objective", "ttc<1")
+    other = command(log, finished, "--arm", "native", "--objective", "collision")
     assert main(other) == 2
     assert "search.json: objective: differs" in capsys.readouterr().err
     shared = ("--database", str(finished / "search.db"), "--study", finished.name)

@@ -155,3 +155,24 @@ def test_distances_and_braking_of_a_rollout() -> None:
     rollout = run_rollout(setup_of(standing(30.0), steps=20), ConstantVelocity())
     assert least_distance(rollout) == pytest.approx(10.0, abs=0.1)
     assert hardest_braking(rollout) < 0.1
+
+
+def test_a_rollout_ends_with_the_plan_of_its_contact_and_means_the_same() -> None:
+    motion, planner = standing(20.0), ConstantVelocity()
+    whole = run_rollout(setup_of(motion), planner)
+    short = run_rollout(setup_of(motion, end_on_contact=True), planner)
+    metrics, ended = (rollout_metrics(one, None) for one in (whole, short))
+    step = metrics.collision.first_step
+    assert whole.steps_run == 80 and step is not None
+    assert step <= short.steps_run < step + 5
+    assert short.cut_reason is not None and "ended with the first contact, " in short.cut_reason
+    np.testing.assert_array_equal(short.ego, whole.ego[: len(short.ego)])
+    for text in ("at-fault", "collision"):
+        objective = parse_objective(text)
+        assert objective.margin(metrics) == objective.margin(ended)
+
+
+def test_a_contact_at_once_leaves_two_plans() -> None:
+    short = run_rollout(setup_of(standing(2.0), end_on_contact=True), ConstantVelocity())
+    assert short.steps_run == 10
+    assert run_rollout(setup_of(standing(200.0), end_on_contact=True), Braking(4.0)).steps_run == 80

@@ -268,6 +268,8 @@ class Artefacts:
         }
         if arm.start_left:
             inputs["start_left"] = arm.start_left
+        if config.end_on_contact:
+            inputs["end_on_contact"] = True
         if looks:
             inputs |= self.images_of(arm)
             if arm.generates:

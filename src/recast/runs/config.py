@@ -106,6 +106,10 @@ class RunConfig(Record):
         gt=0,
         description="maximum wall-clock time of one plan, seconds; null: no limit",
     )
+    end_on_contact: bool = Field(
+        default=False,
+        description="whether rollouts end with the first contact, for searches",
+    )
     films: bool = Field(
         default=True,
         description=(
@@ -184,9 +188,11 @@ class RunConfig(Record):
     def resolved(self) -> dict[str, Any]:
         """JSON-able, every default filled in.
 
-        Without a restorer there is no such member, so that older runs can be gone on with.
+        Members that only some runs set are not there in others, so that older runs can be gone on
+        with.
         """
-        unset = {"restorer"} if self.restorer is None else set()
+        values = {"restorer": self.restorer, "end_on_contact": self.end_on_contact}
+        unset = {name for name, value in values.items() if not value}
         return self.model_dump(mode="json", exclude=unset)
 
 

@@ -504,4 +504,5 @@ def rollout_setup(
         start_left=start_left,
         seed=seed,
         plan_limit_s=plan_limit_s,
+        end_on_contact=config.end_on_contact,
     )

@@ -36,6 +36,7 @@ class Ending(StrEnum):
     ACTOR = "actor"  # a controlled actor came to the end of the recorded road
     EGO = "ego"  # the ego came to the end of its route
     EGO_BEFORE = "ego-before"  # the ego went back to before the beginning of its route
+    CONTACT = "contact"  # see `RolloutSettings.end_on_contact`
 
 
 @dataclass(frozen=True)

@@ -253,7 +253,8 @@ ON_ROAD = 0.5
 _ROUTE_ON_MAP = 0.5
 _TOLERANCE = 0.3
 """Metres beside the drivable area that still count as on the map, as in the metric DAC."""
-_TOUCHING = 1e-9
+TOUCHING = 1e-9
+"""Square metres common to two boxes, from which on they touch."""
 _SCRIPT_MEND = "correct the script; see docs/scenarios.md#your-own-in-python"
 _STEP_MEND = "return x, y, heading, speed >= 0; see docs/scenarios.md#your-own-in-python"
 
@@ -282,7 +283,7 @@ def refuse_starts(
         name, fault = "actor" if target else f"actor {track.track_id}", None
         for other, there, size in placed:
             overlap = boxes.bev_overlap_area(there, size, pose, track.size)
-            if overlap > _TOUCHING:
+            if overlap > TOUCHING:
                 fault = f"{name} and {other} overlap by {overlap:.2f} m2 at the start"
                 break
         share = 1.0 if motion.follows_log else float(on_road_shares(road, pose, track.size))

@@ -136,6 +136,8 @@ class RolloutSettings:
         start_left: metres to the left of where the log has it at which the ego starts, with its
             past. Scripts do not depend on it.
         seed: seed of random numbers of motions and of the planner.
+        end_on_contact: end with the plan in which the ego touches a controlled actor, for searches:
+            what comes later decides nothing; but not before two plans were executed.
 
     Raises:
         InputError: a value is of the wrong type or out of its range.
@@ -155,6 +157,7 @@ class RolloutSettings:
     plan_limit_s: float | None = None
     start_left: float = 0.0
     seed: int = 0
+    end_on_contact: bool = False
 
     def __post_init__(self) -> None:
         check_fields(self)

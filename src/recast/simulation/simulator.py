@@ -18,7 +18,7 @@ from recast.core.errors import InputError
 from recast.core.foreign import ForeignCode, read_only, whole
 from recast.dynamics import EgoState
 from recast.dynamics import state as ego
-from recast.geometry import se2
+from recast.geometry import boxes, se2
 from recast.logs.checks import WORLD_REACH
 from recast.logs.load import load_log
 from recast.logs.types import DrivingLog
@@ -29,8 +29,8 @@ from recast.simulation.history import History, ReactiveActors
 from recast.simulation.planner_calls import checked_plan
 from recast.simulation.recorded_road import Ending, RecordedRoad
 from recast.simulation.renderer import SensorRenderer
-from recast.simulation.rollout import Rollout, SimState
-from recast.simulation.rollout_start import start_rollout
+from recast.simulation.rollout import Rollout, SimState, ego_centre
+from recast.simulation.rollout_start import TOUCHING, start_rollout
 from recast.simulation.scenario import Scenario
 from recast.simulation.setup import (
     BaseController,
@@ -336,7 +336,26 @@ class Simulator:
             history.plans.append((first, plan.waypoints))
         if self._ending is None and self.step_number == self._start.steps:
             self._ending = self._start.ending
+        elif self._ending is None and self._setup.end_on_contact:
+            self._end_on_contact(first)
         return kept
+
+    def _end_on_contact(self, first: int) -> None:
+        """End the rollout if the ego touched a controlled actor after step `first`."""
+        setup, history = self._setup, self._history
+        if self.step_number < 2 * setup.plan_every:
+            return  # a rollout of fewer plans says nothing of a planner
+        size = (setup.vehicle.length, setup.vehicle.width)
+        for step in range(max(1, first - setup.plan_every), self.step_number + 1):
+            own = ego_centre(history.ego[step][:3], setup.vehicle.centre_offset)
+            for track_id, actor in history.state(step).actors.items():
+                other = setup.track_of(track_id).size
+                if boxes.bev_overlap_area(own, size, actor.state[:3], other) > TOUCHING:
+                    self._ending = Ending.CONTACT
+                    self._reason = (
+                        f"ended with the first contact, {step * setup.dt:.1f} s after the start"
+                    )
+                    return
 
     def render(self, cameras: Sequence[str], step: int | None = None) -> dict[str, Image]:
         """Images (H, W, 3) uint8 RGB by camera name at a step up to now; None for now.

@@ -174,7 +174,9 @@ def resolve_search(
     chosen = Design(design, axes, trials, seed)
     asked = parse_objective(objective)
     named = tuple(dict.fromkeys(one_setting(name) for name in motions or ("cut-in-a",)))
-    return SearchSettings(bench(named), chosen, asked, dict(fixed))
+    made = bench(named)
+    run = made.run.model_copy(update={"end_on_contact": asked.threshold is None})
+    return SearchSettings(replace(made, run=run), chosen, asked, dict(fixed))
 
 
 def parse_fixed(words: Sequence[str]) -> dict[str, float]:

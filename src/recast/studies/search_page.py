@@ -107,7 +107,8 @@ def report_examples(
             continue
         log = log_artefact(place, scene, bench) if scene.log is None else None
         source, config = open_scene(scene, bench, log)
-        update = {"motions": tuple(own), "own_motions": own, "films": True}
+        update: dict[str, Any] = {"motions": tuple(own), "own_motions": own}
+        update |= {"films": True, "end_on_contact": False}
         target = out / REPORTS_FOLDER / folder_name(scene.id)
         run(source.path, target, config.model_copy(update=update), console, str(place.root))
 
