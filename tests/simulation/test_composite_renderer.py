@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import torch
 
 from recast.cameras import CameraMount
 from recast.geometry import se3
@@ -75,6 +76,34 @@ def test_the_true_vehicle_stands_in_the_street_with_its_shadow(
     above[int(np.nonzero(inside)[0].min()) - 3 :] = False
     # Light that the vehicle throws back reaches the houses too.
     assert np.abs(image[above].astype(int) - bare[above]).max() <= 2, "and nowhere else"
+
+
+def test_composites_have_the_exposure_that_the_street_has_learned(
+    world: World, mounts: dict[str, CameraMount], state: SimState
+) -> None:
+    """Half the red, and a tenth of white more, in all that is of the street or its vehicles."""
+    mount, tracks = mounts["front"], [world.target]
+    change = torch.tensor([[0.5, 0, 0, 0.1], [0, 1, 0, 0.1], [0, 0, 1, 0.1]])
+    far = ball((0.0, 0.0, 1.0), at_camera(state, mount, -50.0), 0.5)
+    learned = {"front": (np.array([0]), change[None].numpy())}
+    bare, changed = (
+        replace(street(world, far, ball((1.0, 0.0, 0.0), np.zeros(3), 0.5)), exposures=one)
+        for one in ({}, learned)
+    )
+    for kind in (TrueVehicleRenderer, GeneratedVehicleRenderer):
+        images = []
+        for scene in (bare, changed):
+            with kind(world, scene, mounts, 1, tracks=tracks) as renderer:
+                images.append(renderer.render(state, ["front"])["front"] / 255)
+        before, after = images
+        if kind is TrueVehicleRenderer:  # of the street, far from the vehicle and its shadow
+            before, after = before[:8], after[:8]
+        else:  # of the vehicle, where nothing else is seen
+            red = (before[..., 0] > 0.95) & (before[..., 1:].max(axis=-1) < 0.02)
+            assert red.sum() >= 4
+            before, after = before[red], after[red]
+        expected = before @ change[:, :3].numpy().T + change[:, 3].numpy()
+        np.testing.assert_allclose(after, expected.clip(0, 1), atol=0.02)
 
 
 def test_a_street_that_is_nearer_hides_the_true_vehicle(

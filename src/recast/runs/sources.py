@@ -36,7 +36,7 @@ RECIPES = {
     "scene": 7,
     "evaluation": 4,
     "truth": 5,
-    "rollout": 10,
+    "rollout": 11,
     "plans": 3,
     "scene-level": 3,
     "metrics": 11,

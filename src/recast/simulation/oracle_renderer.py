@@ -283,7 +283,8 @@ class TrueVehicleRenderer(WorldRenderer):
     ) -> Image:
         camera, camera_from_world = view.camera, se3.inverse(view.world_from_camera)
         rasterizer = self._street.rasterizer
-        drawn = rasterizer.draw(camera, camera_from_world, poses, shapes_us=time)
+        exposure = self._street.scene.exposure(view.exposed_as, time)
+        drawn = rasterizer.draw(camera, camera_from_world, poses, shapes_us=time, exposure=exposure)
         image = shaded(drawn.rgb.cpu().numpy(), parts.left)
         for vehicle in parts.vehicles:
             nearest = float(vehicle.depth.min()) - _CLEARANCE_M
@@ -291,8 +292,16 @@ class TrueVehicleRenderer(WorldRenderer):
                 camera, camera_from_world, poses, shapes_us=time, nearer_than=max(nearest, 0.3)
             )
             rgb, alpha, _ = _arrays(front)
+            if exposure is not None:
+                rgb = _exposed(rgb, alpha, exposure.numpy())
             image = vehicle_in_street(image, rgb, alpha, vehicle.rgb, vehicle.alpha)
         return as_image(image)
+
+
+def _exposed(rgb: Float32Array, alpha: Float32Array, affine: Array) -> Float32Array:
+    """Premultiplied colours (H, W, 3) of opacity (H, W) by a change (3, 4) of colours."""
+    found = rgb @ affine[:, :3].T + alpha[..., None] * affine[:, 3]
+    return found.astype(np.float32)
 
 
 def _true_parts(oracle: Oracle, view: TrueView) -> _TrueParts:
@@ -324,7 +333,7 @@ class GeneratedVehicleRenderer(WorldRenderer):
         pool: OraclePool | None = None,
     ) -> None:
         super().__init__(world, mounts, workers, tracks=tracks, pool=pool)
-        self._rasterizer = SceneRasterizer(scene)
+        self._scene, self._rasterizer = scene, SceneRasterizer(scene)
 
     def render(self, state: SimState, camera_names: Sequence[str]) -> dict[str, Image]:
         """Render the world, and the vehicles of the scene at the poses of `state`.
@@ -343,6 +352,9 @@ class GeneratedVehicleRenderer(WorldRenderer):
                 view.camera, camera_from_world, poses, shapes_us=state.timestamp_us, street=False
             )
             rgb, alpha, depth = _arrays(layer)
+            exposure = self._scene.exposure(view.exposed_as, state.timestamp_us)
+            if exposure is not None:
+                rgb = _exposed(rgb, alpha, exposure.numpy())
             image = gaussians_in_truth(frame.rgb, frame.depth, rgb, depth, alpha)
             images[view.name] = self._mounts[view.name].masked(image)
         return images
