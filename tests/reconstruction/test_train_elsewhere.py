@@ -159,7 +159,7 @@ def test_a_scene_drawn_elsewhere_looks_the_same(trained: TrainResult, tiny_log: 
     mounts = {name: CameraMount(camera, stream.rig_from_camera)}
     track_id = next(iter(poses))
     state: Any = SimpleNamespace(
-        timestamp_us=time, actors={track_id: None}, poses=poses, world_from_rig=rig
+        log_mounts={}, timestamp_us=time, actors={track_id: None}, poses=poses, world_from_rig=rig
     )
     image = SceneRenderer(scene, mounts).render(state, [name])[name]
     assert image.dtype == np.uint8

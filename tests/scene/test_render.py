@@ -89,6 +89,7 @@ def test_an_image_is_exposed_as_its_camera_was(trained: TrainResult, view: Train
     for share in (-1.0, 0.0, 0.5, 1.0, 2.0):
         within = min(max(share, 0.0), 1.0)
         state: Any = SimpleNamespace(
+            log_mounts={},
             timestamp_us=start + int(share * 100_000),
             actors={},
             poses={},
@@ -118,7 +119,11 @@ def test_cameras_sit_where_training_learned_that_they_do(
     moved.validate()
     time = int(view.timestamp_us)
     state: Any = SimpleNamespace(
-        timestamp_us=time, actors={}, poses={}, world_from_rig=tiny_log.world_from_rig.at(time)
+        log_mounts={},
+        timestamp_us=time,
+        actors={},
+        poses={},
+        world_from_rig=tiny_log.world_from_rig.at(time),
     )
     mounts = {
         name: CameraMount(view.camera, rig_from_camera),

@@ -17,6 +17,7 @@ from recast.geometry import se3
 from recast.logs import DrivingLog, Track
 from recast.reconstruction.bodies import Body
 from recast.reconstruction.config import Measure, SceneConfig
+from recast.reconstruction.covered import without_leftovers
 from recast.reconstruction.densify import (
     FIELDS,
     GradientStatistics,
@@ -98,6 +99,7 @@ class Trainer:
         self.iteration = 0
         self.device = torch.device(device)
         self._views = [view for view in views if not view.held_out]
+        self._finished: tuple[int, StreetScene] | None = None
         self._tracks = dict(tracks)
         self._terms = [term(config) for term in LOSS_TERMS]
         self._density = DensitySchedule(config, len(self._views))
@@ -305,9 +307,18 @@ class Trainer:
             found[name] = rig_from_camera @ se3.inverse(moved) @ se3.inverse(rig_from_camera)
         return found
 
+    def finished(self, log: DrivingLog) -> StreetScene:
+        """The scene at the end of training, see `without_leftovers`."""
+        if self._finished is None or self._finished[0] != self.iteration:
+            scene = self.scene(log)
+            if self.config.unseen_surfaces:
+                scene = without_leftovers(scene, log, self._views)
+            self._finished = self.iteration, scene
+        return self._finished[1]
+
     def save(self, log: DrivingLog, folder: Path) -> StreetScene:
-        """Write the scene as it stands into a folder, see `save_scene`."""
-        scene = self.scene(log)
+        """Write the finished scene into a folder, see `save_scene`."""
+        scene = self.finished(log)
         save_scene(scene, folder)
         return scene
 

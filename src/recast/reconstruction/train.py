@@ -213,7 +213,9 @@ class _Run:
             "psnr": float(np.mean(psnrs)),
         }
         if held_out:
-            record["held_out_psnr"] = held_out_psnr(trainer.scene(self._log), held_out)
+            done = trainer.iteration >= self._config.iterations
+            scene = trainer.finished(self._log) if done else trainer.scene(self._log)
+            record["held_out_psnr"] = held_out_psnr(scene, held_out)
         return record
 
     def _tell(

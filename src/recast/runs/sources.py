@@ -33,7 +33,7 @@ RECIPES = {
     "actor": 11,
     "refine": 6,
     "turntable": 1,
-    "scene": 7,
+    "scene": 8,
     "evaluation": 4,
     "truth": 5,
     "rollout": 11,
