@@ -8,6 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from recast.core.errors import InputError
+from recast.studies.boundary import contour
 from recast.studies.designs import (
     Axis,
     Design,
@@ -223,3 +224,15 @@ def test_of_very_many_results_those_at_the_boundary_tell() -> None:
     assert sum(abs(margin) <= 100 for _, margin in some) >= 200
     assert some[0][0] == (0.0,) and some[-1][0] == (9999.0,)
     assert telling(many[:300], 400) == many[:300]
+
+
+def test_the_contour_is_where_the_margin_is_zero() -> None:
+    """A disc of failures in the plane, and a third setting that matters nothing."""
+    axes = (GAP, SPEED, parse_axis("delay=0:1"))
+    design = Design("sobol", axes, 200)
+    results = run(design, lambda p: np.hypot((p[0] - 20) / 10, (p[1] - 0.75) / 0.3) - 1)
+    pieces = np.stack(contour(MarginField.fit(design, results), design, 0, 1))
+    radius = np.hypot((pieces[..., 0] - 20) / 10, (pieces[..., 1] - 0.75) / 0.3)
+    assert np.abs(radius - 1).max() < 0.1
+    length = np.linalg.norm(np.diff(pieces, axis=1)[:, 0] / [10, 0.3], axis=-1).sum()
+    assert length == pytest.approx(2 * np.pi, rel=0.03), "all around, once"

@@ -215,6 +215,31 @@ def _crossings(field: MarginField, design: Design) -> Iterable[Crossing]:
             )
 
 
+def contour(field: MarginField, design: Design, first: int, second: int) -> list[Array]:
+    """Pieces (2, 2) of the boundary in the plane of two axes, in their values; others in the
+    middle. A piece for each cell of a grid that it crosses (marching squares)."""
+    spaced = np.linspace(0.0, 1.0, _CELLS + 1)
+    shares = np.full((len(spaced), len(spaced), len(design.axes)), 0.5)
+    shares[..., first], shares[..., second] = np.meshgrid(spaced, spaced, indexing="ij")
+    mean = field.at(shares.reshape(-1, len(design.axes)))[0].reshape(len(spaced), -1)
+    places = shares[..., [first, second]]
+    low = np.array([design.axes[first].low, design.axes[second].low])
+    span = np.array([design.axes[first].high, design.axes[second].high]) - low
+    pieces = []
+    for i, j in product(range(_CELLS), repeat=2):
+        corners = [(i, j), (i + 1, j), (i + 1, j + 1), (i, j + 1)]
+        found = []
+        for a, b in zip(corners, [*corners[1:], corners[0]], strict=True):
+            if (mean[a] < 0) != (mean[b] < 0):
+                part = mean[a] / (mean[a] - mean[b])
+                found.append(places[a] + part * (places[b] - places[a]))
+        pieces += [low + span * np.stack(found[k : k + 2]) for k in range(0, len(found), 2)]
+    return pieces
+
+
+_CELLS = 48
+
+
 def _bracketed(told: Sequence[Trial], design: Design) -> Iterable[Crossing]:
     first = along(design.axes)
     by_row: dict[Point, list[tuple[float, float]]] = {}

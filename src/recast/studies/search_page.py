@@ -31,6 +31,7 @@ from recast.studies.boundary import (
     SearchAnswers,
     along,
     answers_of,
+    contour,
     counted_words,
     is_fair,
     search_rows,
@@ -160,11 +161,11 @@ def print_search(found: SearchAnswers, console: Console) -> None:
         return
     axis = design.axes[along(design.axes)]
     title = f"boundary along {axis.name}: distance from the truth's, {axis.unit}"
-    figures = ["distance", "shift", "other verdict", "rows"]
-    table = narrow_table(title, ["arm", "planner", "motion"], figures)
+    table = narrow_table(title, ["arm"], ["distance", "shift", "other\nverdict", "rows"])
     for distance in found.distances:
-        cells = _distance_cells(distance)
-        table.add_row(*cells[:3], *(cell.replace(" (", "\n(") for cell in cells[3:]))
+        arm, planner, motion, *cells = _distance_cells(distance)
+        shown = (cell.replace(" (", "\n(") for cell in cells)
+        table.add_row(f"{arm}\n{planner}, {motion}", *shown)
     console.print(table)
 
 
@@ -240,7 +241,10 @@ def _view(found: SearchAnswers, out: Path) -> dict[str, Any]:
                     }
                     for one in answers
                 ],
-                "plots": [_plot(one, number, answers, axes) for number, one in enumerate(answers)],
+                "plots": [
+                    _plot(one, number, answers, settings.design)
+                    for number, one in enumerate(answers)
+                ],
                 "rows": _rows(answers, axes),
             }
         )
@@ -316,10 +320,9 @@ def _drawn(told: Sequence[Trial]) -> Sequence[Trial]:
 _GOOD, _BAD = "#2a9d63", "#d03a3a"
 
 
-def _plot(
-    one: LineAnswer, number: int, answers: Sequence[LineAnswer], axes: Sequence[Axis]
-) -> Plot:
-    """The region of a line: trials, its boundary, and those of the other arms, dashed."""
+def _plot(one: LineAnswer, number: int, answers: Sequence[LineAnswer], design: Design) -> Plot:
+    """The region of a line: trials, its boundary, and those of the other arms, thin."""
+    axes = design.axes
     first = along(axes)
     axis, others = axes[first], [a for i, a in enumerate(axes) if i != first]
     second = others[0] if others else None
@@ -347,13 +350,16 @@ def _plot(
     for other, answer in enumerate(answers):
         colour = drawing.css(drawing.arm_colour(other))
         width, dash = (2.4, "") if other == number else (1.2, "4 3")
-        crossings = answer.crossings
         if second is None:
-            for crossing in crossings:
+            for crossing in answer.crossings:
                 figure.line([crossing.value] * 2, [figure.low, figure.high], colour, width, dash)
-        elif len(others) == 1:
-            at = sorted((c.others[0], c.value) for c in crossings)
-            figure.line([v for _, v in at], [o for o, _ in at], colour, width, dash)
+        elif answer.field is not None:
+            for piece in contour(answer.field, design, first, axes.index(second)):
+                figure.line(piece[:, 0], piece[:, 1], colour, width)
+        else:
+            for crossing in answer.crossings:  # of bisections
+                row = [crossing.others[0]] * 2
+                figure.line([crossing.low, crossing.high], row, colour, width)
     if second is None:
         figure.line([axis.low, axis.high], [0.0, 0.0], INK, 1.0, "2 3")
     title = f"{one.line.arm}"
