@@ -59,7 +59,7 @@ class LineAnswer:
             `refused` that are impossible, `failed` without a verdict for another reason.
         fails: how many of `trials` fail.
         share: share of the region that fails and its interval of 95 %; None for a bisection, and
-            where nothing can be said. It is `weighed` by nothing: all of the region counts alike.
+            where nothing can be said. All of the region counts alike.
         crossings: the boundary, row by row.
         mildest: the failure that asks least of a driver; None without any.
         hardest: the success that asks most; None without any.
@@ -338,7 +338,7 @@ def _by_row(found: Sequence[Crossing]) -> dict[Point, list[Crossing]]:
 
 
 @dataclass(frozen=True)
-class Comparison:
+class StudyComparison:
     """A study against an earlier one, at the points that both have tried.
 
     Attributes:
@@ -352,7 +352,7 @@ class Comparison:
     gone: tuple[tuple[SearchLine, Trial], ...]
 
 
-def compare(found: SearchAnswers, earlier: Path) -> Comparison:
+def compare(found: SearchAnswers, earlier: Path) -> StudyComparison:
     """Compare with an earlier study: of another version of a planner, or of another planner if both
     studies have one each. Scenarios that no driver could have mastered are left out as in `found`.
 
@@ -387,7 +387,7 @@ def compare(found: SearchAnswers, earlier: Path) -> Comparison:
         problem = "has none of the logs, motions, arms and points of this study"
         mend = "compare studies of one design and seed; sobol and grid try the same points"
         raise InputError(path, "trials", problem, mend)
-    return Comparison(common, tuple(new), tuple(gone))
+    return StudyComparison(common, tuple(new), tuple(gone))
 
 
 _LINE = ("scene", "motion", "planner", "arm")

@@ -592,7 +592,6 @@ class SearchResults:
     Attributes:
         lines: trials by line, in the order in which they were proposed.
         failed: reasons of logs whose streets or vehicles could not be made, by log.
-        planners: planners' names in results, by the word that asked for them.
     """
 
     settings: SearchSettings

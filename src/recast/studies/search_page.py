@@ -26,7 +26,7 @@ from recast.runs.run_folder import STORE_FOLDER
 from recast.studies.boundary import (
     TRIALS_FILE,
     BoundaryDistance,
-    Comparison,
+    StudyComparison,
     LineAnswer,
     SearchAnswers,
     along,
@@ -169,7 +169,7 @@ def print_search(found: SearchAnswers, console: Console) -> None:
     console.print(table)
 
 
-def print_comparison(found: Comparison, design: Design, console: Console) -> None:
+def print_comparison(found: StudyComparison, design: Design, console: Console) -> None:
     """Print which failures are new and which are gone."""
     words = f"{found.common} trials in both studies: {len(found.new)} failures new, "
     console.print(f"{words}{len(found.gone)} gone", markup=False, highlight=False)
