@@ -26,9 +26,9 @@ from recast.runs.run_folder import STORE_FOLDER
 from recast.studies.boundary import (
     TRIALS_FILE,
     BoundaryDistance,
-    StudyComparison,
     LineAnswer,
     SearchAnswers,
+    StudyComparison,
     along,
     answers_of,
     contour,
