@@ -19,7 +19,7 @@ from recast.core.errors import InputError
 from recast.logs import write_log
 from recast.simulation import parse_motions
 from recast.studies.designs import Design, parse_axis
-from recast.studies.search import SearchLine, StudyDatabase
+from recast.studies.study_database import SearchLine, StudyDatabase
 from support.synthetic_drives import drive
 
 TESTS = Path(__file__).parents[1]

@@ -18,7 +18,8 @@ from recast.core.table_files import read_parquet
 from recast.metrics.table import Bootstrap, cluster_bootstrap
 from recast.runs.arms import truth_of
 from recast.studies.designs import CLIPPED, Axis, Design, MarginField, Point
-from recast.studies.search import SearchLine, SearchResults, Trial
+from recast.studies.search import SearchResults
+from recast.studies.study_database import SearchLine, Trial
 
 ROWS = 9
 """Places along the second setting at which the boundary along the first is told."""

@@ -42,11 +42,10 @@ from recast.studies.scene_run import log_artefact, open_scene
 from recast.studies.search import (
     SEARCH_FORMAT,
     SEARCH_VERSION,
-    SearchLine,
     SearchResults,
-    Trial,
     told_point,
 )
+from recast.studies.study_database import SearchLine, Trial
 
 RESULTS_FILE, PAGE_FILE = "results.json", "index.html"
 SCENARIOS_FOLDER, REPORTS_FOLDER = "scenarios", "reports"
