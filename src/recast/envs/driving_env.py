@@ -21,9 +21,10 @@ from recast.core.foreign import BasePart, whole
 from recast.dynamics import BicycleModel, VehicleParameters
 from recast.dynamics import state as ego
 from recast.geometry import se2
+from recast.geometry.boxes import TOUCHING
 from recast.logs import DrivingLog, load_log
 from recast.logs.hdmap import drivable_region
-from recast.metrics.driving import TOUCHING, any_collision, drivable_area_compliance, no_collision
+from recast.metrics.driving import any_collision, drivable_area_compliance, no_collision
 from recast.metrics.rollout_metrics import rollout_metrics
 from recast.planning import (
     WAYPOINTS,

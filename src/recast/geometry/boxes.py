@@ -63,6 +63,10 @@ def bev_corners(poses: ArrayLike, length: ArrayLike, width: ArrayLike) -> Array:
     return np.stack([x, y], axis=-1)
 
 
+TOUCHING = 1e-9
+"""Overlap in square metres up to which boxes merely touch."""
+
+
 def bev_overlap_area(
     poses_a: ArrayLike, size_a: ArrayLike, poses_b: ArrayLike, size_b: ArrayLike
 ) -> Array:

@@ -19,10 +19,9 @@ from recast.dynamics import ground_velocities, plan_to_poses
 from recast.dynamics import state as ego
 from recast.dynamics.tracker import NUPLAN_LIMITS, PLAN_LIMITS, check, plan_signals, savgol_signals
 from recast.geometry import Polyline, boxes, se2
+from recast.geometry.boxes import TOUCHING
 from recast.metrics.table import Metric, invalid
 
-TOUCHING = 1e-9
-"""Overlap in square metres up to which boxes merely touch."""
 CAP = 4.0
 """Seconds that are looked ahead, and given to a plan that meets nothing: the length of a plan of
 40 waypoints 0.1 s apart."""
@@ -83,6 +82,22 @@ def no_collision(
     first = int(hits[0])
     reason = f"overlaps {name} from step {first} ({first * dt:.1f} s)"
     return Collision(Metric(0.0, reason), overlap, first)
+
+
+def box_gaps(
+    ego_boxes: ArrayLike, ego_size: ArrayLike, actor: ArrayLike, actor_size: ArrayLike
+) -> Array:
+    """Metres (S+1,) between the outlines of two boxes, state by state; 0 where they overlap.
+
+    Args:
+        ego_boxes, ego_size, actor, actor_size: see `no_collision`.
+    """
+    outlines = [
+        shapely.polygons(boxes.bev_corners(np.asarray(poses)[:, :3], *np.asarray(size)[:2]))
+        for poses, size in ((ego_boxes, ego_size), (actor, actor_size))
+    ]
+    found: Array = shapely.distance(*outlines)
+    return found
 
 
 def any_collision(collisions: Sequence[Collision]) -> Collision:

@@ -9,10 +9,10 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from recast.geometry.boxes import TOUCHING
 from recast.logs.hdmap import HdMap, drivable_region
 from recast.metrics.driving import (
     TOLERANCE,
-    TOUCHING,
     Collision,
     Comfort,
     DrivableArea,

@@ -10,14 +10,14 @@ from html import escape
 from pathlib import Path
 
 import numpy as np
-import shapely
 from numpy.typing import ArrayLike, NDArray
 
 from recast.arrays import Array
 from recast.core.files import atomic_file, disk_errors
 from recast.dynamics.tracker import PLAN_LIMITS
 from recast.geometry import boxes, se2
-from recast.metrics.driving import CAP, TOUCHING
+from recast.geometry.boxes import TOUCHING
+from recast.metrics.driving import CAP, box_gaps
 from recast.metrics.plan_agreement import MOVED, PlanAgreement
 from recast.metrics.trust import Reliability
 from recast.reporting import drawing
@@ -248,10 +248,7 @@ def series(rollout: Rollout) -> Series:
     boxes_of_ego = rollout.ego_boxes
     actor = rollout.actor[:, :3]
     overlap = boxes.bev_overlap_area(boxes_of_ego, rollout.ego_size, actor, rollout.actor_size)
-    distance = shapely.distance(
-        shapely.polygons(boxes.bev_corners(boxes_of_ego, *rollout.ego_size)),
-        shapely.polygons(boxes.bev_corners(actor, *rollout.actor_size[:2])),
-    )
+    distance = box_gaps(boxes_of_ego, rollout.ego_size, actor, rollout.actor_size)
     return Series(
         time=np.arange(len(ego), dtype=np.float64) * rollout.dt,
         ego_speed=np.hypot(ego[:, 3], ego[:, 4]),

@@ -17,7 +17,7 @@ from recast.arrays import Array, Image
 from recast.core.images import wrapped
 from recast.dynamics import state as ego
 from recast.geometry import boxes
-from recast.metrics.driving import TOUCHING
+from recast.geometry.boxes import TOUCHING
 from recast.reporting import drawing
 from recast.reporting.birdseye import MapLayer, draw_car, draw_scale_bar, fitted_view
 from recast.reporting.drawing import Canvas, CanvasView, dashed

@@ -14,6 +14,7 @@ from recast.core.foreign import ForeignCode, read_only
 from recast.dynamics import initial_state
 from recast.dynamics import state as ego
 from recast.geometry import boxes
+from recast.geometry.boxes import TOUCHING
 from recast.geometry.se2 import REACH
 from recast.logs.checks import WORLD_REACH
 from recast.logs.hdmap import HdMap, drivable_region
@@ -253,8 +254,6 @@ ON_ROAD = 0.5
 _ROUTE_ON_MAP = 0.5
 _TOLERANCE = 0.3
 """Metres beside the drivable area that still count as on the map, as in the metric DAC."""
-TOUCHING = 1e-9
-"""Square metres common to two boxes, from which on they touch."""
 _SCRIPT_MEND = "correct the script; see docs/scenarios.md#your-own-in-python"
 _STEP_MEND = "return x, y, heading, speed >= 0; see docs/scenarios.md#your-own-in-python"
 

@@ -19,6 +19,7 @@ from recast.core.foreign import ForeignCode, read_only, whole
 from recast.dynamics import EgoState
 from recast.dynamics import state as ego
 from recast.geometry import boxes, se2
+from recast.geometry.boxes import TOUCHING
 from recast.logs.checks import WORLD_REACH
 from recast.logs.load import load_log
 from recast.logs.types import DrivingLog
@@ -30,7 +31,7 @@ from recast.simulation.planner_calls import checked_plan
 from recast.simulation.recorded_road import Ending, RecordedRoad
 from recast.simulation.renderer import SensorRenderer
 from recast.simulation.rollout import Rollout, SimState, ego_centre
-from recast.simulation.rollout_start import TOUCHING, start_rollout
+from recast.simulation.rollout_start import start_rollout
 from recast.simulation.scenario import Scenario
 from recast.simulation.setup import (
     BaseController,

@@ -9,13 +9,13 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-import shapely
 
 from recast.arrays import Array
 from recast.core.errors import InputError
 from recast.dynamics import state as ego
-from recast.geometry import boxes, se2
+from recast.geometry import boxes
 from recast.metrics import COLUMNS, RolloutMetrics
+from recast.metrics.driving import box_gaps, no_collision, no_collision_at_fault
 from recast.planning import ReferenceRoute
 from recast.simulation import Rollout
 from recast.simulation.rollout import ego_centre
@@ -101,13 +101,10 @@ class _Measure:
 
 def least_distance(rollout: Rollout) -> float:
     """Metres between the outlines of the ego and the nearest controlled actor, at the least."""
-    ego_corners = boxes.bev_corners(rollout.ego_boxes, *rollout.ego_size)
-    outlines = shapely.polygons(ego_corners)
     actors = [(rollout.actor, rollout.actor_size)]
     actors += [(one.states, one.size) for one in rollout.controlled]
     least = [
-        shapely.distance(outlines, shapely.polygons(boxes.bev_corners(s[:, :3], *size[:2]))).min()
-        for s, size in actors
+        box_gaps(rollout.ego_boxes, rollout.ego_size, states, size).min() for states, size in actors
     ]
     return float(min(least))
 
@@ -162,9 +159,6 @@ _BESIDE = 0.3
 """Metres beside the ego's width that a driver watches."""
 _COMFORT = 2.0
 """m/s^2 across the lane, at most, in a comfortable lane change."""
-_STANDING = 0.1
-"""m/s below which the ego is not to blame for a contact."""
-_BEHIND = np.deg2rad(150)
 
 
 @dataclass(frozen=True)
@@ -205,28 +199,34 @@ def difficulty(setup: RolloutSetup) -> Difficulty:
     start = start_rollout(setup, setup.seed)
     times: Array = setup.dt * np.arange(start.steps + 1, dtype=np.float64)
     actors = _driven(setup, start.actors, start.steps)
-    length, width = setup.vehicle.length, setup.vehicle.width
+    size = (setup.vehicle.length, setup.vehicle.width)
     speed = max(float(start.first[ego.VX]), 0.0)
     at_start = start.route.at_time(start.start_timestamp_us)
     s0, lateral = start.route.project(start.first, None if at_start is None else float(at_start))
 
-    def boxes_at(s: Array, beside: Array) -> Array:
-        poses = start.route.pose(s, float(lateral) + beside)
-        return ego_centre(poses, setup.vehicle.centre_offset)
+    def to_blame(s: Array, beside: Array, speeds: Array) -> bool:
+        """Whether an ego at these places, with these speeds, is to blame for a contact."""
+        driven = np.zeros((len(s), len(ego.COLUMNS)))
+        driven[:, ego.POSE], driven[:, ego.VX] = (
+            start.route.pose(s, float(lateral) + beside),
+            speeds,
+        )
+        own = ego_centre(driven[:, ego.POSE], setup.vehicle.centre_offset)
+        hits = [no_collision(own, size, states, other, setup.dt) for states, other in actors]
+        return no_collision_at_fault(hits, driven, [states for states, _ in actors]).value == 0.0
 
     constant: Array = float(s0) + speed * times
-    noticed = _noticed(start.route, actors, constant, float(lateral), width)
+    noticed = _noticed(start.route, actors, constant, float(lateral), size[1])
     if noticed is None:
         return Difficulty(None, 0.0, False)
     begin = times[noticed] + REACTION
     late = np.maximum(times - begin, 0.0)
-    size = (length, width)
     needed = None
     for level in LEVELS:
         braked = np.minimum(late, speed / level) if level else late
         driven = speed * np.minimum(times, begin) + speed * braked - level * braked**2 / 2
         now = speed - level * braked
-        if not _to_blame(boxes_at(float(s0) + driven, np.zeros_like(times)), size, now, actors):
+        if not to_blame(float(s0) + driven, np.zeros_like(times), now):
             needed = float(level)
             break
     beside = start.actors[0].situation.neighbour_lateral
@@ -235,8 +235,7 @@ def difficulty(setup: RolloutSetup) -> Difficulty:
         # The quintic's largest acceleration is 5.77 times the way over the time squared.
         u = np.clip(late / np.sqrt(5.7735 * abs(beside) / _COMFORT), 0.0, 1.0)
         across = beside * u**3 * (10 - 15 * u + 6 * u**2)
-        moved = boxes_at(constant, across)
-        change = not _to_blame(moved, size, np.full_like(times, speed), actors)
+        change = not to_blame(constant, across, np.full_like(times, speed))
     return Difficulty(float(times[noticed]), needed, change)
 
 
@@ -278,19 +277,3 @@ def _noticed(
         if len(steps) and (first is None or steps[0] < first):
             first = int(steps[0])
     return first
-
-
-def _to_blame(own: Array, size: tuple[float, float], speed: Array, actors: Driven) -> bool:
-    """Whether an ego at poses (S+1, 3) of its box is to blame for a contact."""
-    outlines = shapely.polygons(boxes.bev_corners(own, *size))
-    for states, actor_size in actors:
-        others = shapely.polygons(boxes.bev_corners(states[:, :3], *actor_size[:2]))
-        hits = np.flatnonzero(shapely.area(shapely.intersection(outlines, others)) > 1e-9)
-        if not len(hits):
-            continue
-        now = int(hits[0])
-        bearing = np.arctan2(*(states[now, 1::-1] - own[now, 1::-1])) - own[now, 2]
-        behind = abs(float(se2.wrap_angle(bearing))) > _BEHIND and states[now, 3] > _STANDING
-        if speed[now] > _STANDING and not behind:
-            return True
-    return False

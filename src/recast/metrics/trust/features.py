@@ -10,15 +10,15 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-import shapely
 
 from recast.actors.actor import Coverage
 from recast.arrays import Array, Int64Array
 from recast.cameras import box_rectangle
 from recast.dynamics import plan_to_poses
 from recast.geometry import boxes, se3
+from recast.geometry.boxes import TOUCHING
 from recast.logs import DrivingLog
-from recast.metrics.driving import CAP, TOUCHING
+from recast.metrics.driving import CAP, box_gaps
 from recast.metrics.oracle_views import angle_to_nearest, logged_views, view_direction
 from recast.metrics.rollout_metrics import RolloutMetrics
 from recast.metrics.table import over_common_steps
@@ -300,12 +300,7 @@ def _margin(rollout: Rollout, contact: int | None) -> tuple[float, int]:
     ego, gaps, depths = rollout.ego_boxes, [], []
     others = [(one.states, one.size) for one in rollout.controlled]
     for states, size in [(rollout.actor, rollout.actor_size), *others]:
-        gaps.append(
-            shapely.distance(
-                shapely.polygons(boxes.bev_corners(ego, *rollout.ego_size)),
-                shapely.polygons(boxes.bev_corners(states[:, :3], *size[:2])),
-            )
-        )
+        gaps.append(box_gaps(ego, rollout.ego_size, states, size))
         area = boxes.bev_overlap_area(ego, rollout.ego_size, states[:, :3], size)
         depth = boxes.bev_depth(ego, rollout.ego_size, states[:, :3], size)
         depths.append(np.where(area > TOUCHING, depth, 0.0))
