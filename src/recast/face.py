@@ -339,6 +339,7 @@ def search(
     >>> [(one.line.arm, len(one.trials), one.fails) for one in found.lines]
     [('native', 3, 0)]
     """
+    from recast.studies.boundary import answers_of
     from recast.studies.search import resolve_search, run_search
     from recast.studies.search_page import print_search, write_search
 
@@ -363,7 +364,8 @@ def search(
         database=database,
         study=study,
     )
-    answers = write_search(results, Path(out), fair_only)
+    answers = answers_of(results, fair_only)
+    write_search(answers, Path(out))
     print_search(answers, shown)
     return answers
 

@@ -161,6 +161,7 @@ def test_gaps_are_what_the_log_does_not_show(trained: TrainResult, tiny_log: Dri
     # All but what a vehicle covered, which stays as it was learned.
     as_made = torch.isclose(opaque, torch.tensor(INIT.unseen_opacity))
     assert as_made.float().mean() > 0.5
+    assert not scene.background.sh[scene.unseen][~as_made][:, 1:].any()
     view = read_view(tiny_log, tiny_log.cameras["image_02"], 3, 1.0)
     everything = torch.ones_like(scene.unseen)
     surface = SceneRasterizer(replace(scene, actors={})).render(

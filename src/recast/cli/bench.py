@@ -213,12 +213,13 @@ class Search(_Grid):
     ] = None
 
     def __call__(self) -> int:
-        from recast.studies.boundary import compare, search_rows
+        from recast.studies.boundary import answers_of, compare, search_rows
         from recast.studies.search import parse_fixed, resolve_search, run_search
         from recast.studies.search_page import (
             print_comparison,
             print_search,
             report_examples,
+            write_page,
             write_search,
         )
 
@@ -247,10 +248,11 @@ class Search(_Grid):
             database=self.database,
             study=self.study,
         )
-        answers = write_search(results, self.out, fair_only=not self.unfair)
+        answers = answers_of(results, fair_only=not self.unfair)
+        write_search(answers, self.out)
         if self.reports:
             report_examples(answers, self.out, console, self.store)
-            answers = write_search(results, self.out, fair_only=not self.unfair)
+            write_page(answers, self.out)
         print_search(answers, console)
         console.print(f"wrote {self.out}", markup=False)
         if self.json:

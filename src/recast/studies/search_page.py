@@ -30,7 +30,6 @@ from recast.studies.boundary import (
     SearchAnswers,
     StudyComparison,
     along,
-    answers_of,
     contour,
     counted_words,
     is_fair,
@@ -51,14 +50,14 @@ RESULTS_FILE, PAGE_FILE = "results.json", "index.html"
 SCENARIOS_FOLDER, REPORTS_FOLDER = "scenarios", "reports"
 
 
-def write_search(results: SearchResults, out: Path, fair_only: bool = True) -> SearchAnswers:
-    """Work out and write what a search found.
+def write_search(found: SearchAnswers, out: Path) -> None:
+    """Write what a search found.
 
     `results.json` has the rows of `search_rows`; `trials.parquet` every trial; `scenarios/` the
     mildest failure and the hardest success of each line as scenario files, which `recast run
     --motion` takes; `index.html` shows it all.
     """
-    found = answers_of(results, fair_only)
+    results = found.results
     record = {"format": SEARCH_FORMAT, "version": SEARCH_VERSION, **search_rows(found)}
     files.write_json(out / RESULTS_FILE, rounded(record))
     write_parquet(out / TRIALS_FILE, _table(results))
@@ -71,9 +70,13 @@ def write_search(results: SearchResults, out: Path, fair_only: bool = True) -> S
                 path.parent.mkdir(exist_ok=True)
                 text = yaml.safe_dump(scenario, sort_keys=False, allow_unicode=True)
                 files.write_text(path, text)
+    write_page(found, out)
+
+
+def write_page(found: SearchAnswers, out: Path) -> None:
+    """Write `index.html`, which links the reports that are there by now."""
     page = render_template("search.html", search=_view(found, out))
     files.write_text(out / PAGE_FILE, page)
-    return found
 
 
 def report_examples(
