@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.stats import norm
 
 from recast.core.errors import InputError
 from recast.studies.boundary import contour
@@ -54,11 +55,33 @@ def test_an_axis_is_a_range_or_values() -> None:
         ("gap=1,,2", "no setting with a range"),
         ("gap=40:2", "an empty range"),
         ("gap=2:2", "an empty range"),
+        ("gap=2:40~uniform:1,2", "no distribution"),
+        ("gap=2:40~normal:15", "no distribution"),
+        ("gap=2:40~normal:15,0", "no distribution"),
+        ("gap=2:40~lognormal:-15,1", "no distribution"),
+        ("gap=2:40~normal:500,1", "hardly has a value within the range"),
+        ("gap=2,40~normal:15,6", "no setting with a range"),
     ],
 )
 def test_a_wrong_axis_is_refused(text: str, problem: str) -> None:
     with pytest.raises(InputError, match=problem):
         parse_axis(text)
+
+
+@given(share=st.floats(0.0, 1.0), occurs=st.sampled_from(["normal:15,6", "lognormal:9,0.7"]))
+def test_values_occur_as_often_as_is_said(share: float, occurs: str) -> None:
+    axis = parse_axis(f"gap=2:40~{occurs}")
+    value = axis.value(share)
+    assert 2.0 <= value <= 40.0
+    # A value is told by six digits, so its share is known to a density's worth of 1e-4 m.
+    assert axis.share(value) == pytest.approx(share, abs=2e-5)
+
+
+def test_the_share_that_fails_is_of_the_scenarios_as_they_occur() -> None:
+    axis = parse_axis("gap=2:40~normal:15,6")
+    points = [p for p, _ in run(Design("sobol", (axis,), 256), lambda point: point[0] - 9.0)]
+    expected = (norm.cdf(-1) - norm.cdf(-13 / 6)) / (norm.cdf(25 / 6) - norm.cdf(-13 / 6))
+    assert np.mean([p[0] < 9.0 for p in points]) == pytest.approx(expected, abs=1 / 256 + 1e-9)
 
 
 @pytest.mark.parametrize(

@@ -128,6 +128,7 @@ def test_another_study_is_refused_in_folder_and_database(
         (("--over", "gap=9:2"), "gap=9:2: is an empty range"),
         (("--over", "gap=2:900"), "gap: is 900"),
         (("--over", "width=1:2"), "has no setting width"),
+        (("--over", "seed=0:9"), "seed: has no range"),
         (("--set", "gap=3"), "gap: is varied, too"),
         (("--set", "delay"), "is no setting with a number"),
         (("--set", "delay=-1"), "delay: is negative"),
@@ -176,6 +177,23 @@ def test_a_bisection_of_several_values_and_a_planner_that_fails(log: Path, tmp_p
     assert [row["initial_speed"] for row in found] == [0.4, 0.8]
     assert all(row["high"] - row["low"] < 4 for row in found)
     assert {row["failure"] is None for row in trials(out)} == {True, False}
+
+
+def test_a_planner_that_samples_is_driven_with_several_seeds(log: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    ranges = ("--over", "gap=8,12", "--over", "seed=0,1,2", "--design", "grid")
+    planner = ("--planner", "support.own_parts:Sampling", "--planner", "idm-follower")
+    assert main(command(log, out, *planner, "--arm", "native", ranges=ranges)) == 0
+    rows = trials(out)
+    assert len(rows) == 12 and len({row["rollout"] for row in rows}) == 12
+    margins = {
+        (row["planner"], gap): {
+            one["margin"] for one in rows if one["gap"] == gap and one["planner"] == row["planner"]
+        }
+        for row in rows
+        for gap in (8.0, 12.0)
+    }
+    assert [len(found) for (planner, _), found in sorted(margins.items())] == [1, 1, 3, 3]
 
 
 def test_impossible_scenarios_are_told_apart(log: Path, tmp_path: Path) -> None:

@@ -10,6 +10,7 @@ import pytest
 
 from recast.core.errors import InputError
 from recast.metrics import rollout_metrics
+from recast.metrics.rollout_metrics import least_gaps
 from recast.planning import WAYPOINTS, BasePlanner, ConstantVelocity, Plan, PlannerInput
 from recast.simulation import MOTIONS, RolloutSetup, run_rollout
 from recast.simulation.motions import Idm, Oncoming, Stationary
@@ -21,7 +22,6 @@ from recast.studies.trials import (
     REACTION,
     difficulty,
     hardest_braking,
-    least_distance,
     measured,
     parse_objective,
 )
@@ -153,7 +153,7 @@ def test_an_actor_that_reacts_does_so_to_an_ego_that_keeps_its_speed() -> None:
 
 def test_distances_and_braking_of_a_rollout() -> None:
     rollout = run_rollout(setup_of(standing(30.0), steps=20), ConstantVelocity())
-    assert least_distance(rollout) == pytest.approx(10.0, abs=0.1)
+    assert least_gaps(rollout).min() == pytest.approx(10.0, abs=0.1)
     assert hardest_braking(rollout) < 0.1
 
 

@@ -74,6 +74,16 @@ class Faulty(IdmLaneFollower):
         return Plan(waypoints[:20] if self.fault == "few" else waypoints)
 
 
+class Sampling(IdmLaneFollower):
+    """Drives by chance a little slower than the follower."""
+
+    name = "sampling"
+
+    def plan(self, observation: PlannerInput) -> Plan:
+        slower = np.random.uniform(0.8, 1.0)  # noqa: NPY002  # as planners of others do
+        return Plan(slower * super().plan(observation).waypoints)
+
+
 class NotANumber(Faulty):
     fault = "nan"
 

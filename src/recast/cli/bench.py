@@ -161,8 +161,9 @@ class Search(_Grid):
     over: Annotated[
         shared.Names,
         shared.option(
-            "Setting to vary, with its range or its values: gap=2:40 or delay=0,1,2. May be "
-            "repeated; the boundary is told along the first range.",
+            "Setting to vary, with its range or its values: gap=2:40 or delay=0,1,2. A range may "
+            "say how often its values occur: gap=2:40~lognormal:12,0.5. seed=0,1,2 drives each "
+            "point several times. May be repeated; the boundary is told along the first range.",
             "gap=2:40",
             metavar="SETTING=LOW:HIGH",
         ),

@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from recast.dynamics import state as ego
 from recast.geometry.boxes import TOUCHING
 from recast.logs.hdmap import HdMap, drivable_region
 from recast.metrics.driving import (
@@ -19,6 +20,7 @@ from recast.metrics.driving import (
     RouteCompletion,
     TimeToCollision,
     any_collision,
+    box_gaps,
     com_4_13,
     com_driven,
     com_hugsim,
@@ -110,6 +112,19 @@ class RolloutMetrics:
     def plans(self) -> int:
         """How many plans C were made."""
         return len(self.plan_steps)
+
+    @property
+    def contact_speed(self) -> float | None:
+        """Relative speed in m/s at the first contact; None without one."""
+        step = self.collision.first_step
+        if step is None:
+            return None
+        of = {actor.track_id: actor.states for actor in rollout_actors(self.rollout)}
+        hit = next(k for k, one in self.collisions.items() if one.first_step == step)
+        own, other = self.rollout.ego[step], of[hit][step]
+        along = own[ego.VX] * np.array([np.cos(own[ego.HEADING]), np.sin(own[ego.HEADING])])
+        towards = other[3] * np.array([np.cos(other[2]), np.sin(other[2])])
+        return float(np.linalg.norm(along - towards))
 
     def over(self, steps: int) -> RolloutMetrics:
         """The metrics that the rollout would have, had it ended after `steps` of its steps."""
@@ -237,6 +252,16 @@ def rollout_collisions(rollout: Rollout) -> dict[str, Collision]:
         )
         for actor in rollout_actors(rollout)
     }
+
+
+def least_gaps(rollout: Rollout) -> Array:
+    """Metres (S+1,) between the outlines of the ego and the nearest controlled actor; 0 where they
+    overlap."""
+    gaps = [
+        box_gaps(rollout.ego_boxes, rollout.ego_size, actor.states, actor.size)
+        for actor in rollout_actors(rollout)
+    ]
+    return np.min(gaps, axis=0)
 
 
 class RolloutActor(NamedTuple):

@@ -59,8 +59,8 @@ class LineAnswer:
         trials: those with a verdict that count; `unfair` more that no driver could have mastered,
             `refused` that are impossible, `failed` without a verdict for another reason.
         fails: how many of `trials` fail.
-        share: share of the region that fails and its interval of 95 %; None for a bisection, and
-            where nothing can be said. All of the region counts alike.
+        share: share of the scenarios that fail and its interval of 95 %; None for a bisection, and
+            where nothing can be said. All of the region counts alike, or as often as the axes say.
         crossings: the boundary, row by row.
         mildest: the failure that asks least of a driver; None without any.
         hardest: the success that asks most; None without any.
@@ -197,7 +197,7 @@ def _crossings(field: MarginField, design: Design) -> Iterable[Crossing]:
     first = along(design.axes)
     axis = design.axes[first]
     spaced = np.linspace(0.0, 1.0, _FINE)
-    values = axis.low + spaced * (axis.high - axis.low)
+    values = [axis.value(float(share)) for share in spaced]
     for others in _rows(design):
         row = design.shares([_with(others, axis.low, first)])[0]
         shares = np.tile(row, (_FINE, 1))
@@ -210,8 +210,8 @@ def _crossings(field: MarginField, design: Design) -> Iterable[Crossing]:
             yield Crossing(
                 others,
                 float(values[i] + part * (values[i + 1] - values[i])),
-                float(values[below[-1]] if len(below) else axis.low),
-                float(values[i + 1 + above[0]] if len(above) else axis.high),
+                values[below[-1]] if len(below) else axis.low,
+                values[i + 1 + above[0]] if len(above) else axis.high,
                 bool(mean[i] < 0),
             )
 
@@ -224,8 +224,7 @@ def contour(field: MarginField, design: Design, first: int, second: int) -> list
     shares[..., first], shares[..., second] = np.meshgrid(spaced, spaced, indexing="ij")
     mean = field.at(shares.reshape(-1, len(design.axes)))[0].reshape(len(spaced), -1)
     places = shares[..., [first, second]]
-    low = np.array([design.axes[first].low, design.axes[second].low])
-    span = np.array([design.axes[first].high, design.axes[second].high]) - low
+    named = design.axes[first], design.axes[second]
     pieces = []
     for i, j in product(range(_CELLS), repeat=2):
         corners = [(i, j), (i + 1, j), (i + 1, j + 1), (i, j + 1)]
@@ -234,7 +233,8 @@ def contour(field: MarginField, design: Design, first: int, second: int) -> list
             if (mean[a] < 0) != (mean[b] < 0):
                 part = mean[a] / (mean[a] - mean[b])
                 found.append(places[a] + part * (places[b] - places[a]))
-        pieces += [low + span * np.stack(found[k : k + 2]) for k in range(0, len(found), 2)]
+        values = [[a.value(float(s)) for a, s in zip(named, at, strict=True)] for at in found]
+        pieces += [np.array(values[k : k + 2]) for k in range(0, len(values), 2)]
     return pieces
 
 

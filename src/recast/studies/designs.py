@@ -9,13 +9,14 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from itertools import pairwise, product
 from typing import Any
 from warnings import catch_warnings, simplefilter
 
 import numpy as np
 from scipy.optimize import brentq
-from scipy.stats import qmc
+from scipy.stats import lognorm, norm, qmc
 
 from recast.arrays import Array
 from recast.core.errors import InputError
@@ -27,6 +28,8 @@ fails, None where no margin could be had."""
 
 _NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
 _RANGE = re.compile(rf"({_NUMBER}):({_NUMBER})")
+_RAREST = 1e-4
+"""Share of a distribution within a range below which its quantiles are noise."""
 _DIGITS = 6
 """Significant digits of a value: a setting is told, filed and found again by them."""
 
@@ -40,6 +43,7 @@ class Axis:
         low, high: range of its values.
         choices: the values, if only some are asked for; none: all of the range.
         unit: unit of the values.
+        occurs: how often values occur within the range, see `parse_occurrence`; "": all alike.
     """
 
     name: str
@@ -47,27 +51,71 @@ class Axis:
     high: float
     choices: tuple[float, ...] = ()
     unit: str = ""
+    occurs: str = ""
 
     def value(self, share: float) -> float:
-        """The value at a share of the range, within 0 and 1."""
+        """The value below which a share of the scenarios lies, within 0 and 1."""
         if self.choices:
             return self.choices[min(int(share * len(self.choices)), len(self.choices) - 1)]
-        return float(f"{self.low + share * (self.high - self.low):.{_DIGITS}g}")
+        value = self.low + share * (self.high - self.low)
+        if self._occurrence is not None:
+            below, within = self._within
+            value = float(self._occurrence.ppf(below + share * within))
+        return float(f"{min(max(value, self.low), self.high):.{_DIGITS}g}")
 
     def share(self, value: float) -> float:
-        """The share of the range at which a value lies."""
+        """The share of the scenarios that lie below a value."""
         if self.choices:
             return (self.choices.index(value) + 0.5) / len(self.choices)
+        if self._occurrence is not None:
+            below, within = self._within
+            return (float(self._occurrence.cdf(value)) - below) / within
         return (value - self.low) / (self.high - self.low)
+
+    @property
+    def told(self) -> str:
+        """Values and unit, such as "2 to 40 m"."""
+        values = ", ".join(f"{v:g}" for v in self.choices) or f"{self.low:g} to {self.high:g}"
+        return " ".join(filter(None, (values, self.unit, self.occurs and f"({self.occurs})")))
+
+    @cached_property
+    def _occurrence(self) -> Any | None:
+        return parse_occurrence(self.occurs) if self.occurs else None
+
+    @cached_property
+    def _within(self) -> tuple[float, float]:
+        """The share of all values that lie below the range, and within."""
+        assert self._occurrence is not None
+        below, above = map(float, self._occurrence.cdf([self.low, self.high]))
+        return below, above - below
+
+
+def parse_occurrence(text: str) -> Any:
+    """A distribution of scipy: "normal:MEAN,DEVIATION" or "lognormal:MEDIAN,SIGMA".
+
+    Raises:
+        InputError: it is neither.
+    """
+    name, _, words = text.partition(":")
+    numbers = re.fullmatch(rf"({_NUMBER}),({_NUMBER})", words)
+    first, second = (float(numbers[1]), float(numbers[2])) if numbers is not None else (0.0, 0.0)
+    if name == "normal" and second > 0:
+        return norm(first, second)
+    if name == "lognormal" and first > 0 and second > 0:
+        return lognorm(second, scale=first)
+    mend = "write normal:MEAN,DEVIATION or lognormal:MEDIAN,SIGMA, with a deviation above 0"
+    raise InputError("`over`", text, "is no distribution", mend)
 
 
 def parse_axis(text: str) -> Axis:
-    """An axis as the command line names it: "gap=2:40", or "gap=5,10,20" for these values alone.
+    """An axis as the command line names it: "gap=2:40", "gap=2:40~lognormal:12,0.5" where values
+    occur unlike often, or "gap=5,10,20" for these values alone.
 
     Raises:
-        InputError: it is neither, or the range is empty.
+        InputError: it is none of these, or the range is empty.
     """
     name, equals, values = text.partition("=")
+    values, _, occurs = values.partition("~")
     mend = "write SETTING=LOW:HIGH, or SETTING=VALUE,VALUE"
     if not equals or not name:
         raise InputError("`over`", text, "is no setting with a range", mend)
@@ -76,9 +124,13 @@ def parse_axis(text: str) -> Axis:
         low, high = float(found[1]), float(found[2])
         if not low < high:
             raise InputError("`over`", text, "is an empty range", "give the lower value first")
-        return Axis(name, low, high)
+        axis = Axis(name, low, high, occurs=occurs)
+        if occurs and axis._within[1] < _RAREST:
+            problem = "hardly has a value within the range"
+            raise InputError("`over`", text, problem, "give another range or distribution")
+        return axis
     words = values.split(",")
-    if not all(re.fullmatch(_NUMBER, word) for word in words):
+    if occurs or not all(re.fullmatch(_NUMBER, word) for word in words):
         raise InputError("`over`", text, "is no setting with a range", mend)
     choices = tuple(sorted({float(word) for word in words}))
     return Axis(name, choices[0], choices[-1], choices)
@@ -142,11 +194,11 @@ class Design:
         return len(self.rows()) if self.name == "bisect" else DESIGNS[self.name].batch
 
     def point(self, shares: Sequence[float]) -> Point:
-        """The values at shares (d,) of the ranges."""
+        """The values at shares (d,) of the scenarios, see `Axis.value`."""
         return tuple(axis.value(float(s)) for axis, s in zip(self.axes, shares, strict=True))
 
     def shares(self, points: Sequence[Point]) -> Array:
-        """The shares (N, d) of the ranges at which points lie."""
+        """The shares (N, d) at which points lie, see `Axis.share`."""
         found = [[a.share(v) for a, v in zip(self.axes, p, strict=True)] for p in points]
         return np.array(found, np.float64).reshape(-1, len(self.axes))
 

@@ -48,6 +48,8 @@ from recast.studies.trials import Objective, difficulty, measured, parse_objecti
 
 SEARCH_FORMAT, SEARCH_VERSION = "recast-search", 1
 RECORD_FILE, DATABASE_FILE = "search.json", "search.db"
+SEED = "seed"
+"""What an axis is named that is no setting: seeds of planners that sample, and of motions."""
 _POLL = 1.0  # seconds between looks at what other processes do
 
 
@@ -72,10 +74,13 @@ class SearchSettings:
         twice = next((axis.name for axis in self.design.axes if axis.name in self.fixed), None)
         if twice is not None:
             raise InputError("`set`", twice, "is varied, too", "leave it out, or leave out `over`")
+        if any(axis.name == SEED and not axis.choices for axis in self.design.axes):
+            raise InputError("`over`", SEED, "has no range", "give the seeds: seed=0,1,2")
         for name in self.bench.run.motions:
             for point in _corners(self.design.axes):
                 self.scenario(name, point)
         units = {key: unit for name in self.bench.run.motions for key, unit in self._units(name)}
+        units[SEED] = ""
         axes = tuple(replace(axis, unit=units[axis.name]) for axis in self.design.axes)
         object.__setattr__(self, "design", replace(self.design, axes=axes))
 
@@ -88,7 +93,8 @@ class SearchSettings:
         """The record of a scenario: one of the motions at a point.
 
         Args:
-            setting: name of its setting; None for one that stands for the point.
+            setting: name of its setting; None for one that stands for the point, and with seeds,
+                which go by that.
 
         Raises:
             InputError: the motion has no such setting, or not this value of it.
@@ -102,13 +108,15 @@ class SearchSettings:
                 "`motion`", name, problem, "name a motion of recast or a scenario file"
             )
         known = MOTION_SCHEMAS[kind].quantities
+        # The rollout's seed comes from the whole record, the name of its setting included.
+        seed = {SEED: given.pop(SEED)} if SEED in given else {}
         for key in given:
             if key not in known:
                 problem = f"has no setting {key}"
                 raise InputError("`motion`", name, problem, f"choose one of {', '.join(known)}")
         record = scenario_record(base)
-        if setting is None:
-            setting = value_hash({**motion_numbers(target_motion(base)), **given})[:10]
+        if setting is None or seed:
+            setting = value_hash({**motion_numbers(target_motion(base)), **given, **seed})[:10]
         for part in (record, *record.get("actors", {}).values()):
             part["settings"] = {setting: part["settings"][base.setting]}
         record["settings"][setting].update(given)
@@ -124,7 +132,11 @@ class SearchSettings:
             "version": SEARCH_VERSION,
             "fixed": dict(sorted(self.fixed.items())),
             "over": [
-                [axis.name, axis.low, axis.high, list(axis.choices)] for axis in self.design.axes
+                [
+                    *(axis.name, axis.low, axis.high, list(axis.choices)),
+                    *filter(None, [axis.occurs]),
+                ]
+                for axis in self.design.axes
             ],
             "design": self.design.name,
             "seed": self.design.seed,

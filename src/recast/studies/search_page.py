@@ -156,7 +156,7 @@ def print_search(found: SearchAnswers, console: Console) -> None:
     for one in found.lines:
         words = f"{one.line.scene}, {one.line.motion}, {one.line.planner}, {one.line.arm}: "
         console.print(printable(words + sentence(one, design.axes)), markup=False)
-        console.print(f"  {_counted(one)}", markup=False, highlight=False)
+        console.print(f"  {_counted(one, design.axes)}", markup=False, highlight=False)
     for scene, reason in found.results.failed.items():
         console.print(printable(f"{scene}: {reason}"), markup=False, style="red")
     if not found.distances:
@@ -199,11 +199,12 @@ def _distance_cells(one: BoundaryDistance) -> list[str]:
     ]
 
 
-def _counted(one: LineAnswer) -> str:
+def _counted(one: LineAnswer, axes: Sequence[Axis]) -> str:
     words = counted_words(one)
+    region = "scenarios, as often as they occur," if any(axis.occurs for axis in axes) else "region"
     if one.share is not None:
         point, low, high = (100 * value for value in one.share)
-        words += f"; {point:.0f} % of the region fail ({low:.0f} to {high:.0f} %)"
+        words += f"; {point:.0f} % of the {region} fail ({low:.0f} to {high:.0f} %)"
     return words
 
 
@@ -229,7 +230,7 @@ def _view(found: SearchAnswers, out: Path) -> dict[str, Any]:
                     {
                         "name": one.line.arm,
                         "sentence": sentence(one, axes),
-                        "counted": _counted(one),
+                        "counted": _counted(one, axes),
                         "examples": [
                             (
                                 words.replace("-", " "),
@@ -264,13 +265,10 @@ def _view(found: SearchAnswers, out: Path) -> dict[str, Any]:
 
 def _lead(found: SearchAnswers) -> str:
     settings = found.results.settings
-    over = " and ".join(
-        f"{a.name} {', '.join(f'{v:g}' for v in a.choices) or f'{a.low:g} to {a.high:g}'} {a.unit}"
-        for a in settings.design.axes
-    )
+    over = " and ".join(f"{axis.name} {axis.told}" for axis in settings.design.axes)
     trials = sum(len(trials) for trials in found.results.lines.values())
     return (
-        f"{trials} trials of {', '.join(settings.bench.run.motions)} over {over.strip()}. "
+        f"{trials} trials of {', '.join(settings.bench.run.motions)} over {over}. "
         f"It fails by: {settings.objective.text}."
     )
 

@@ -15,7 +15,8 @@ from recast.core.errors import InputError
 from recast.dynamics import state as ego
 from recast.geometry import boxes
 from recast.metrics import COLUMNS, RolloutMetrics
-from recast.metrics.driving import box_gaps, no_collision, no_collision_at_fault
+from recast.metrics.driving import no_collision, no_collision_at_fault
+from recast.metrics.rollout_metrics import least_gaps, rollout_actors
 from recast.planning import ReferenceRoute
 from recast.simulation import Rollout
 from recast.simulation.rollout import ego_centre
@@ -66,10 +67,10 @@ class Objective:
             apart = value - self.threshold
             return -apart if self.above else apart
         if metrics.collision.first_step is None:
-            return least_distance(metrics.rollout)
+            return float(least_gaps(metrics.rollout).min())
         if self.measure == "at-fault" and metrics.nc_at_fault.value == 1.0:
             return 0.0
-        speed = contact_speed(metrics)
+        speed = metrics.contact_speed or 0.0
         return -max(speed**2 / (2 * HARD), 1e-6)
 
 
@@ -99,32 +100,6 @@ class _Measure:
     of: Callable[[RolloutMetrics], float | None]
 
 
-def least_distance(rollout: Rollout) -> float:
-    """Metres between the outlines of the ego and the nearest controlled actor, at the least."""
-    actors = [(rollout.actor, rollout.actor_size)]
-    actors += [(one.states, one.size) for one in rollout.controlled]
-    least = [
-        box_gaps(rollout.ego_boxes, rollout.ego_size, states, size).min() for states, size in actors
-    ]
-    return float(min(least))
-
-
-def contact_speed(metrics: RolloutMetrics) -> float:
-    """Relative speed in m/s at the first contact; 0 without one."""
-    step, rollout = metrics.collision.first_step, metrics.rollout
-    if step is None:
-        return 0.0
-    hit = next(k for k, one in metrics.collisions.items() if one.first_step == step)
-    states = {one.track_id: one.states for one in rollout.controlled}
-    other, own = states.get(hit, rollout.actor)[step], rollout.ego[step]
-    velocity = own[ego.VX] * _direction(own[ego.HEADING])
-    return float(np.linalg.norm(velocity - other[3] * _direction(other[2])))
-
-
-def _direction(heading: float) -> Array:
-    return np.array([np.cos(heading), np.sin(heading)])
-
-
 def hardest_braking(rollout: Rollout) -> float:
     """Largest deceleration of the ego over half a second, m/s^2."""
     speed, span = rollout.ego[:, ego.VX], max(1, round(0.5 / rollout.dt))
@@ -134,8 +109,8 @@ def hardest_braking(rollout: Rollout) -> float:
 
 
 MEASURES: Mapping[str, _Measure] = {
-    "distance": _Measure("m", lambda one: least_distance(one.rollout)),
-    "contact_speed": _Measure("m/s", contact_speed),
+    "distance": _Measure("m", lambda one: float(least_gaps(one.rollout).min())),
+    "contact_speed": _Measure("m/s", lambda one: one.contact_speed or 0.0),
     "braking": _Measure("m/s^2", lambda one: hardest_braking(one.rollout)),
     "ttc": _Measure("s", lambda one: one.ttc.ttc.value),
 }
@@ -249,8 +224,7 @@ def _driven(setup: RolloutSetup, actors: tuple[StartingActor, ...], steps: int) 
     from recast.planning import ConstantVelocity
 
     rollout = run_rollout(setup, ConstantVelocity())
-    found = [(rollout.actor, rollout.actor_size)]
-    found += [(one.states, one.size) for one in rollout.controlled]
+    found = [(one.states, one.size) for one in rollout_actors(rollout)]
     missing = steps + 1 - len(rollout.actor)  # a rollout that was cut: everybody stays there
     return [(np.concatenate([s, np.repeat(s[-1:], missing, 0)]), size) for s, size in found]
 
