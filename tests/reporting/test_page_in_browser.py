@@ -158,6 +158,29 @@ def test_plots_can_be_read(page: Page) -> None:
     assert len(heights) > 40 and min(heights) > 10
 
 
+def test_one_camera_shows_at_a_time_and_all_is_on_one_screen(
+    browser: BrowserContext, page_file: Path, tmp_path: Path
+) -> None:
+    film, parts = page_file.parents[1] / "native.mp4", []
+    for arm, brake in (("native", 0.0), ("replaced", 2.0)):
+        rollout = cut_in(arm, steps=STEPS, brake=brake, cut=False)
+        films = {"front_left": film, "front": film}
+        parts.append(RolloutPart(arm, rollout, rollout_metrics(rollout, straight_map()), films))
+    scenario = ScenarioPart("Cut-in", "", tuple(parts))
+    run = ReportInputs("Car 0", "log", ARMS, scenarios=(scenario,), camera_headings={"front": 0.0})
+    tab = browser.new_page()
+    tab.set_viewport_size({"width": 1440, "height": 900})
+    tab.goto(write_report(run, tmp_path / "report").as_uri())
+    for chosen, hidden in (("front", "front_left"), ("front_left", "front")):
+        tab.locator("[data-cameras]").select_option(chosen)
+        assert tab.locator(f"[data-camera={chosen}]").first.is_visible()
+        assert not tab.locator(f"[data-camera={hidden}]").first.is_visible()
+    tab.locator(".player .arms").first.scroll_into_view_if_needed()
+    height = "document.querySelector('.player').getBoundingClientRect().height"
+    assert tab.evaluate(height) < 850
+    tab.close()
+
+
 def test_the_replay_opens(page: Page) -> None:
     page.get_by_text("Open the moving scene").click()
     page.wait_for_function("document.title === 'the moving scene'")

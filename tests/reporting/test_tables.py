@@ -15,6 +15,7 @@ from recast.reporting.summary import (
     headline,
     outcomes,
     rollout_events,
+    same_endings,
     truth_gaps,
 )
 from recast.scene.street_scene import ViewGaps
@@ -157,11 +158,9 @@ def test_the_truth_measures_and_is_not_judged() -> None:
     assert cell(native, "dac").tone == cell(recast, "dac").tone == "plain"  # equal: nobody wins
     [(_, (_, _, truth))] = outcomes(run)
     assert truth.tone == "plain"
-    told = " ".join(headline(run))
-    assert "Native and Replaced, and with the truth" in told
-    assert (
-        "ended as with the truth (contact or no contact): Native: 0 of 1; Replaced: 1 of 1" in told
-    )
+    assert "Native and Replaced, and with truth" in " ".join(headline(run))
+    [told] = same_endings(run, [part], "oracle")
+    assert told.endswith("(collision or not): 0 of 1 with Native, 1 of 1 with Replaced.")
 
 
 def test_gap_to_the_truth_is_the_distance_between_the_egos() -> None:

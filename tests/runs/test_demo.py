@@ -42,8 +42,8 @@ def finished(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_the_page_begins_with_one_moment_seen_three_ways(finished: Path) -> None:
     page = (finished / "run" / "report" / "index.html").read_text()
     first = page[: page.index("Overview")]
-    for name in ("native actor", "replaced actor", "truth (oracle)"):
-        assert name in first.lower()
+    for name in ("reconstructed vehicle", "replaced vehicle", "true vehicle"):
+        assert name in first
 
 
 @pytest.mark.whole

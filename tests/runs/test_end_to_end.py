@@ -40,7 +40,7 @@ def test_everything_is_there(finished: Path) -> None:
     assert metrics["actors"]["replaced"]["registration"]["after"]["median"] < 0.15
     assert metrics["scenes"]["recast"]["psnr"] > 15
     page = (finished / "report" / "index.html").read_text()
-    assert "recorded road" in page and "Of the replaced actor that the cameras showed" in page
+    assert "recorded road" in page and "Of the replaced vehicle that the cameras showed" in page
     for arm in ("native", "replaced"):
         frames, fps = read_video(rollout(finished, arm) / "image_02.mp4")
         assert len(frames) == 10

@@ -14,7 +14,7 @@ from recast.runs.arms import Arm
 from recast.runs.config import RunConfig
 from recast.runs.run import run
 
-TITLE = "Advancing, setting a"
+TITLE = "Advancing"
 
 
 def small_run(log: Path, out: Path, **settings: object) -> Path:

@@ -259,6 +259,25 @@ def moment_strip(
     return Strip(tuple(order.index(part.arm) for part in driven), tuple(columns))
 
 
+def moment_pictures(
+    run: ReportInputs, parts: Sequence[RolloutPart], step: int, assets: PageAssets
+) -> list[tuple[str, Media | NotMade]]:
+    """What the camera that looks at the actor saw at a step, by the label of the arm.
+
+    Args:
+        parts: rollouts of a scenario; those without a rollout are left out.
+    """
+    driven = sorted(
+        (part for part in parts if isinstance(part.rollout, Rollout)),
+        key=lambda part: list(run.arms).index(part.arm),
+    )
+    if not driven:
+        return []
+    moment, camera = Moment(step, 0.0, ()), _camera(run, driven, step)
+    images = {part.arm: _images(part, [moment], [camera])[0] for part in driven}
+    return [(run.arms[arm], assets.photo(f"finding-{arm}", image)) for arm, image in images.items()]
+
+
 def _camera(run: ReportInputs, driven: Sequence[RolloutPart], step: int) -> str | None:
     """The camera with a film that looks most nearly at the actor, as the first arm has it."""
     rollout = driven[0].rollout

@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from recast.actors.actor import Coverage
 from recast.core.workers import usable_cores
 from recast.logs.hdmap import HdMap
 from recast.metrics import Agreement, AngleBin, OracleView, OracleViews, read_oracle_views
@@ -23,6 +24,7 @@ from recast.metrics.plan_agreement import (
 )
 from recast.reporting import drawing, plots, summary, tables
 from recast.reporting.birdseye import Birdseye, BirdseyeStyle, MapLayer
+from recast.reporting.finding import endings, finding
 from recast.reporting.inputs import (
     NOT_MADE,
     ActorPart,
@@ -35,7 +37,12 @@ from recast.reporting.inputs import (
     ShowcasePart,
     TruthPart,
 )
-from recast.reporting.moments import camera_towards, filmed_cameras, moment_strip
+from recast.reporting.moments import (
+    camera_towards,
+    filmed_cameras,
+    moment_pictures,
+    moment_strip,
+)
 from recast.reporting.page import Media, PageAssets, render_template, write_page
 from recast.reporting.plots import Figure, Plot
 from recast.reporting.previews import SIDES
@@ -43,7 +50,6 @@ from recast.reporting.summary import (
     checks,
     coverage_lines,
     coverage_note,
-    glance,
     looked_at,
     trust_note,
 )
@@ -103,9 +109,11 @@ def _scenario(
     compared = (summary.driving_note(part, run.arms), summary.truth_gaps(run, part))
     return {
         "part": part,
+        "endings": endings(part, run.arms),
         "anchor": anchor,
         "columns": columns,
         "cameras": cameras,
+        "camera": camera_towards(cameras, run.camera_headings),
         "joined": None if joined is None else (joined[0], joined[1].result()),
         "strip": strip,
         "lines": [_line(run, p, order[p.arm]) for p in parts],
@@ -210,14 +218,21 @@ def _render(run: ReportInputs, assets: PageAssets) -> str:
             view = partial(_scenario, run, layer, encoders)
             scenarios = list(pool.map(view, run.scenarios, anchors, scopes))
         aggregate = tables.aggregate_lines(run.scenarios, run.arms, run.truth_arm)
-    made = checks(run)
+    found = finding(run)
+    pictures: list[tuple[str, Media | NotMade]] = []
+    shares = None
+    if found is not None and not isinstance(run.scenarios, NotMade):
+        shares = _shares(run.scenarios[found.scenario])
+        pictures = moment_pictures(run, run.scenarios[found.scenario].rollouts, found.step, assets)
     return render_template(
         "report.html",
         run=run,
-        glance=glance(run, made),
+        finding=found,
+        pictures=pictures,
+        shares=shares,
         replay=assets.page("replay", run.replay) if isinstance(run.replay, Path) else run.replay,
         headline=summary.headline(run),
-        checks=made,
+        checks=checks(run),
         outcomes=summary.outcomes(run),
         aggregate=aggregate,
         actor=_actor(run.actor, assets),
@@ -235,6 +250,13 @@ def _render(run: ReportInputs, assets: PageAssets) -> str:
         nothing_on_truth=run.truth == NOT_MADE,
         config=_config(run.config),
     )
+
+
+def _shares(scenario: ScenarioPart) -> Coverage | None:
+    """What the images of a scenario showed of the vehicle; None without shares."""
+    shown = [looked_at(p.coverage).mean for p in scenario.rollouts if p.coverage is not None]
+    mean = Coverage.mean(shown)
+    return mean if mean.pixels > 0 else None
 
 
 def _showcase(showcase: ShowcasePart | NotMade, assets: PageAssets) -> dict[str, Any] | NotMade:

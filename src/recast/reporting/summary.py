@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 
@@ -53,13 +52,10 @@ def rollout_events(part: RolloutPart, curves: Series) -> tuple[RolloutEvent, ...
     events = []
     hit = curves.collision_step
     if hit is not None:
-        events.append(
-            RolloutEvent(
-                float(curves.time[hit]),
-                f"contact at a relative speed of {_closing_speed(rollout, hit):.1f} m/s",
-                "bad",
-            )
-        )
+        text = "contact"
+        if not isinstance(part.metrics, NotMade):
+            text += f" at a relative speed of {part.metrics.contact_speed or 0.0:.1f} m/s"
+        events.append(RolloutEvent(float(curves.time[hit]), text, "bad"))
     else:
         nearest = int(np.argmin(curves.gap))
         text = f"smallest gap, {curves.gap[nearest]:.1f} m"
@@ -125,15 +121,13 @@ def headline(run: ReportInputs) -> tuple[str, ...]:
     motions = "; ".join(scenario.title for scenario in run.scenarios)
     first = f"In the log {run.log}, {actor} was given a new motion: {motions}. "
     driven = names or list(run.arms.values())
-    first += f"Each was driven with {listed(driven)}" if driven[1:] else f"Driven with {driven[0]}"
+    first += f"{'Each was driven' if driven[1:] else 'Driven'} with {vehicles(driven)}"
     if run.truth_arm is not None and names:
-        first += f", and with the {run.arms[run.truth_arm]}, which is the ground truth"
+        first += f", and with {vehicles([run.arms[run.truth_arm]])}, which is the ground truth"
     first += f"; planner: {listed(planners)}." if planners else "."
     lines = [first]
     outcomes = [f"{title}: {_contacts(run.scenarios, arm)}" for arm, title in run.arms.items()]
     lines.append("Rollouts that ended without contact: " + "; ".join(outcomes) + ".")
-    if run.truth_arm is not None:
-        lines.extend(same_endings(run, run.scenarios, run.truth_arm))
     failed = [part for part in parts if not isinstance(part.rollout, Rollout)]
     if failed:
         lines.append(f"{len(failed)} of {len(parts)} rollouts could not be run; see below.")
@@ -170,14 +164,6 @@ def _contacts(scenarios: Sequence[ScenarioPart], arm: str) -> str:
     counts = {"cut short": cut, "failed": failed}
     notes = ", ".join(f"{count} {what}" for what, count in counts.items() if count)
     return f"{told} ({notes})" if notes else told
-
-
-def _closing_speed(rollout: Rollout, step: int) -> float:
-    """Magnitude of the relative velocity, m/s, over the step before the contact."""
-    first = max(step - 1, 0)
-    relative = rollout.actor[:, :2] - rollout.ego[:, :2]
-    moved = relative[first + 1] - relative[first]
-    return float(np.hypot(*moved) / rollout.dt)
 
 
 def driving_note(scenario: ScenarioPart, arms: Mapping[str, str]) -> str | None:
@@ -239,11 +225,9 @@ def same_endings(
         ]
         if arm != truth and pairs:
             same = sum(a.collision.nc.value == b.collision.nc.value for a, b in pairs)
-            told.append(f"{title}: {same} of {len(pairs)}")
+            told.append(f"{same} of {len(pairs)} with {vehicles([title])}")
     return (
-        (f"Rollouts that ended as with the truth (contact or no contact): {'; '.join(told)}.",)
-        if told
-        else ()
+        (f"Scenarios with the true verdict (collision or not): {', '.join(told)}.",) if told else ()
     )
 
 
@@ -258,6 +242,14 @@ def _scored(scenario: ScenarioPart) -> dict[str, RolloutMetrics]:
 def listed(names: Sequence[str]) -> str:
     """Names as in a sentence: a, a and b, a, b and c."""
     return names[0] if len(names) == 1 else ", ".join(names[:-1]) + " and " + names[-1]
+
+
+def vehicles(labels: Sequence[str]) -> str:
+    """Labels of arms as in a sentence: "the replaced and the true vehicle"."""
+    noun = " vehicle"
+    if not all(label.endswith(noun) for label in labels):
+        return listed(list(labels))
+    return listed([f"the {label.removesuffix(noun)}" for label in labels]) + noun
 
 
 @dataclass(frozen=True)
@@ -468,25 +460,3 @@ def _completeness(scenarios: Sequence[ScenarioPart]) -> Check:
     text += f", {failed} failed" if failed else ""
     tone: Tone = "good" if whole == len(parts) else "bad" if failed else "warn"
     return Check("Rollouts", text, "all; a rollout that was cut has fewer chances to fail", tone)
-
-
-def glance(run: ReportInputs, checks: Sequence[Check]) -> dict[str, Any]:
-    """Numbers for the first screen.
-
-    `counts` says how many checks are good, bad, and need care; `coverage` is that of the vehicle
-    over all images of all rollouts, None without shares.
-    """
-    tones = [check.tone for check in checks]
-    parts = () if isinstance(run.scenarios, NotMade) else run.scenarios
-    images = [
-        image.coverage
-        for scenario in parts
-        for part in scenario.rollouts
-        if part.coverage is not None
-        for image in looked_at(part.coverage).images
-    ]
-    mean = Coverage.mean(images)
-    return {
-        "counts": [(tone, tones.count(tone)) for tone in ("good", "bad", "warn")],
-        "coverage": mean if mean.pixels > 0 else None,
-    }

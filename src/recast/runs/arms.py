@@ -178,9 +178,12 @@ class Arm(Record):
     @property
     def label(self) -> str:
         """Its name for people."""
-        if self.is_truth and self.noise is None:
-            return f"truth ({self.name})"
-        return f"{self.name} actor" if self in (Arm.native(), Arm.replaced()) else self.name
+        shown = (
+            (Arm.native(), "reconstructed"),
+            (Arm.replaced(), "replaced"),
+            (Arm.oracle(), "true"),
+        )
+        return next((f"{word} vehicle" for arm, word in shown if arm == self), self.name)
 
     def inputs(self) -> dict[str, Any]:
         """What keys of its images need beside the keys of its street and its vehicles."""

@@ -256,7 +256,9 @@ class GatheredRun:
     def scenario(self, name: str, planner: str) -> ScenarioPart:
         """The rollouts of a motion under each arm."""
         motion = self.config.motion(name)
-        title = f"{motion.name}, setting {motion.setting}".capitalize()
+        title = motion.name.capitalize()
+        if [self.config.motion(one).name for one in self.config.motions].count(motion.name) > 1:
+            title += f", setting {motion.setting}"
         if len(self.config.planners) > 1:
             title += f", {planner}"
         arms, scored = self.config.arms, self._scored(name, planner)

@@ -11,6 +11,7 @@ function makePlayer(root) {
   const scrub = root.querySelector("[data-scrub]");
   const clock = root.querySelector("[data-time]");
   const rate = root.querySelector("[data-rate]");
+  const camera = root.querySelector("[data-cameras]");
   const end = Number(root.dataset.seconds);
   const step = Number(root.dataset.step);
   let now = 0, last = null;
@@ -73,6 +74,11 @@ function makePlayer(root) {
       if (last !== null) film.play().catch(() => {});
     });
   }
+  const choose = () => {
+    for (const place of root.querySelectorAll("[data-camera]"))
+      place.hidden = place.dataset.camera !== camera.value;
+  };
+  if (camera) { camera.addEventListener("change", choose); choose(); }
   play.addEventListener("click", toggle);
   scrub.addEventListener("input", () => go(Number(scrub.value)));
   rate.addEventListener("change", () => { for (const film of films) film.playbackRate = Number(rate.value); });
