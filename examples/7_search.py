@@ -10,7 +10,7 @@ import recast
 from recast.studies.boundary import sentence
 
 
-def main(out: str, scene: str, motion: str, over: str, planner: str = "idm-follower") -> None:
+def main(out: str, scene: str, motion: str, over: str, planner: str = "gtrs-mini") -> None:
     found = recast.search(
         [scene],
         out,

@@ -261,7 +261,7 @@ def run_grid(
         scenes: synthetic scenes such as "urban-straight:3", or log folders, LOG:TRACK.
         out: folder of the grid; one of the same settings is finished.
         arms: words for the arms, see docs/runs.md#arms; none for native and replaced.
-        planners: names, folders, or "module:attribute"; none for "idm-follower".
+        planners: names, folders, or "module:attribute"; none for "gtrs-mini".
         motions: names or scenario files; none for the paper's.
         track: target track of log folders that are named without one.
         workers: number of processes of this machine, or of actors of the cluster.
@@ -322,7 +322,7 @@ def search(
         design: how trials are chosen, see docs/search.md#designs.
         trials: number of trials for each log, motion, planner and arm.
         arms: words for the arms, see docs/runs.md#arms; none for native and replaced.
-        planners: names, folders, or "module:attribute"; none for "idm-follower".
+        planners: names, folders, or "module:attribute"; none for "gtrs-mini".
         track: target track of log folders that are named without one.
         fair_only: leave out scenarios that no driver could have mastered.
         workers, ray, store: see `run_grid`.
@@ -335,7 +335,8 @@ def search(
         InputError: a setting is wrong, or `out` or the database holds another study.
 
     >>> found = search([f"{folder}/log:0"], folder / "search", motions=["advancing-a"],
-    ...                over=["gap=1:4"], design="grid", trials=3, arms=["native"], steps=10)
+    ...                over=["gap=1:4"], design="grid", trials=3, arms=["native"],
+    ...                planners=["idm-follower"], steps=10)
     >>> [(one.line.arm, len(one.trials), one.fails) for one in found.lines]
     [('native', 3, 0)]
     """

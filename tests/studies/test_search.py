@@ -28,7 +28,8 @@ RANGES = ("--over", "gap=2:40", "--over", "initial_speed=0.3:1.0")
 
 
 def command(log: Path, out: Path, *more: str, ranges: tuple[str, ...] = RANGES) -> list[str]:
-    return ["search", f"{log}:7", "--out", str(out), *OPTIONS, *ranges, *more]
+    planner = () if "--planner" in more else ("--planner", "idm-follower")
+    return ["search", f"{log}:7", "--out", str(out), *OPTIONS, *planner, *ranges, *more]
 
 
 @pytest.fixture(scope="module")
@@ -152,6 +153,14 @@ def test_a_wrong_option_is_one_line(
     told = capsys.readouterr().err
     assert problem in " ".join(told.split())
     assert "Traceback" not in told
+
+
+def test_a_log_that_the_planner_cannot_drive_is_told(
+    log: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(command(log, tmp_path / "out", "--planner", "gtrs-mini")) == 2
+    told = " ".join(capsys.readouterr().out.split())
+    assert "or a planner that uses no images, such as idm-follower" in told
 
 
 def test_a_corrupt_database_is_one_line(

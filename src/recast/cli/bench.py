@@ -258,6 +258,8 @@ class Search(_Grid):
         console.print(f"wrote {self.out}", markup=False)
         if self.json:
             print_json(search_rows(answers))
+        if len(results.failed) == len(settings.bench.scenes):
+            return 2
         if self.compare is None:
             return 0
         against = compare(answers, self.compare)

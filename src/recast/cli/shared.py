@@ -132,7 +132,7 @@ PLANNER_HELP = (
     "package.module:attribute, alpasim:HOST:PORT (a driver of AlpaSim) or neuroncap:HOST:PORT. "
     "May be repeated."
 )
-PLANNER = option(PLANNER_HELP, "idm-follower")
+PLANNER = option(PLANNER_HELP, "gtrs-mini")
 PLANNER_DEVICE = option(
     "Device of the planner: auto (a GPU if there is one), cpu, cuda or cuda:1.",
     "auto",

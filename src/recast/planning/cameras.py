@@ -186,7 +186,8 @@ def shown_views(planner: Planner, mounts: Mapping[str, CameraMount]) -> tuple[Sh
                 f"planner {planner.name}",
                 f"view {wanted}",
                 f"looks ahead, but the log's cameras see {seen:.0%} of it ({NEEDED:.0%} is needed)",
-                f"use a log with a camera that looks ahead; there are {directions(real)}",
+                f"use a log with a camera that looks ahead (there are {directions(real)}), or a "
+                "planner that uses no images, such as idm-follower",
             )
         virtual = mount.seen is not None
         shown.append(

@@ -62,7 +62,7 @@ class RunConfig(Record):
         description="arms to compare; the first is the baseline",
     )
     planners: tuple[str, ...] = Field(
-        default=("idm-follower",),
+        default=("gtrs-mini",),
         min_length=1,
         description="planners under test: names, folders, package.module:attribute, "
         "alpasim:HOST:PORT or neuroncap:HOST:PORT",
