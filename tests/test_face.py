@@ -89,6 +89,19 @@ def test_the_examples_outside_the_face_run(names: dict[str, Any]) -> None:
     assert ran
 
 
+def test_what_is_shown_comes_from_the_objects(names: dict[str, Any]) -> None:
+    pytest.importorskip("viser")
+    page = recast.show(names["rollout"])
+    try:
+        inputs = page.playback.inputs
+        assert inputs.log is names["rollout"].origin.setup.log
+        assert set(inputs.scenes) == {"scene", names["rollout"].arm}
+        assert any(name.startswith(names["rollout"].motion) for name in inputs.scenarios)
+        assert page.url in page._repr_html_()
+    finally:
+        page.close()
+
+
 def test_the_way_from_a_log_to_a_report(names: dict[str, Any], tmp_path: Path) -> None:
     """DESIGN's example: what was made before is found again."""
     log = recast.load_log(names["folder"] / "log")
@@ -168,6 +181,8 @@ WRONG: dict[str, tuple[Callable[[dict[str, Any]], object], str]] = {
     "grid's out": (lambda n: recast.run_grid("a", 7), "out: is 7; give a path"),
     "planner": (lambda n: recast.run_grid("urban-straight:3", "x", planners="idm-folower"), "idm-"),
     "planners": (lambda n: recast.run_grid("urban-straight:3", "x", planers="idm"), "n planners?"),
+    "show nothing": (lambda n: recast.show(), "things: are missing"),
+    "show": (lambda n: recast.show(n["log"], 3), "cannot be shown beside objects: int"),
     "make_planner": (lambda n: recast.make_planner(None), "planner: is None; give"),
     "motion": (lambda n: recast.motion(3), "motion"),
     "actors": (lambda n: recast.Simulator(n["log"], actors=["0"]), "actors: is an object of type"),

@@ -32,6 +32,7 @@ if TYPE_CHECKING:
     from recast.face import run_grid as run_grid
     from recast.face import score as score
     from recast.face import search as search
+    from recast.face import show as show
     from recast.face import write_report as write_report
     from recast.logs import DrivingLog as DrivingLog
     from recast.logs import load_log as load_log
@@ -65,6 +66,7 @@ _PLACES = {
         "run_grid",
         "score",
         "search",
+        "show",
         "write_report",
     ),
     "recast.planning": ("Plan", "Planner", "PlannerInput", "make_planner"),

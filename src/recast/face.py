@@ -56,6 +56,7 @@ from recast.studies.closed_loop import GridResults
 
 if TYPE_CHECKING:
     from recast.studies.boundary import SearchAnswers  # needs the extra "search"
+    from recast.viewer import Page
 
 Place = str | Path | Store
 _READERS: Readers = {DrivingLog: load_log, StreetScene: SCENES.resolve, Rollout: load_rollout}
@@ -236,6 +237,55 @@ def write_report(result: Rollout | str | Path, out: str | Path) -> Path:
     if isinstance(result, Rollout):
         return report_rollout(result, score(result), Path(out))
     return report_run(result, out)
+
+
+def show(
+    *things: DrivingLog | StreetScene | Actor | Rollout | str | Path, port: int = 8080
+) -> Page:
+    """Show a log, scenes, actors and rollouts in the browser; see docs/view.md.
+
+    A rollout that was run in this process brings its log, and its scene. In a notebook, the page
+    appears below the cell. It is served until `close` of what is returned, or the end of Python.
+
+    Args:
+        things: objects, or folders alone, as `recast view` takes them.
+        port: port of this machine; the next free one is taken if it is in use.
+
+    Raises:
+        InputError: nothing is given, a thing cannot be shown, they do not go together, or viser is
+            not installed.
+
+    >>> page = show(rollout)
+    >>> page.close()
+    """
+    from recast.runs.view import parts_inputs, view_inputs
+    from recast.viewer import Page
+
+    if not things:
+        raise InputError("show", "things", "are missing", "give a log, scene, actor or rollout")
+    if all(isinstance(one, str | Path) for one in things):
+        return Page(view_inputs([Path(str(one)) for one in things]), port=port)
+    kinds = (DrivingLog, StreetScene, Actor, Rollout)
+    strange = next((one for one in things if not isinstance(one, kinds)), None)
+    if strange is not None:
+        problem = f"cannot be shown beside objects: {type(strange).__name__}"
+        raise InputError("show", "things", problem, "give objects alone, or folders alone")
+    rollouts = [one for one in things if isinstance(one, Rollout)]
+    origins = [one.origin for one in rollouts if one.origin is not None]
+    logs = [one for one in things if isinstance(one, DrivingLog)]
+    logs += [origin.setup.log for origin in origins if not logs]
+    scenes = [one for one in things if isinstance(one, StreetScene)]
+    rendered = [getattr(origin.renderer, "scene", None) for origin in origins if not scenes]
+    scenes += [one for one in rendered if isinstance(one, StreetScene)][:1]
+    actors = [(f"actor {one.track_id}", one) for one in things if isinstance(one, Actor)]
+    inputs = parts_inputs(
+        logs[0].name if logs else "recast",
+        logs[0] if logs else None,
+        [("scene" if len(scenes) == 1 else f"scene {i}", one) for i, one in enumerate(scenes, 1)],
+        actors,
+        [(one, None) for one in rollouts],
+    )
+    return Page(inputs, port=port)
 
 
 @checked(_READERS)

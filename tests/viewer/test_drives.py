@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -18,7 +19,15 @@ from recast.scene import StreetScene
 from recast.simulation import Rollout
 from recast.viewer import ViewedDrive, recording
 from recast.viewer.drives import FilmFrames, sampled
-from recast.viewer.panels import ABOVE, AT_ACTOR, BEHIND_EGO, look, look_names
+from recast.viewer.panels import (
+    ABOVE,
+    AT_ACTOR,
+    BEHIND_EGO,
+    first_look,
+    first_step,
+    look,
+    look_names,
+)
 from recast.viewer.splat_nodes import drivable_mesh, segments
 
 
@@ -74,6 +83,21 @@ def test_a_look_through_a_camera_is_that_cameras(drive: ViewedDrive) -> None:
     ahead = (found.target - found.eye) / np.linalg.norm(found.target - found.eye)
     assert np.allclose(found.eye, pose[:3, 3]) and np.allclose(ahead, pose[:3, 2])
     assert found.fov == drive.cameras[name].fov
+
+
+def test_the_page_opens_where_the_camera_that_looks_ahead_is_after_a_second(
+    drive: ViewedDrive,
+) -> None:
+    [(name, front)] = drive.cameras.items()
+    half = se3.from_rotation_translation(se3.rotation_z(np.pi), np.zeros(3))
+    turned = half @ front.rig_from_camera
+    rear = dataclasses.replace(front, rig_from_camera=turned)
+    several = dataclasses.replace(drive, cameras={"rear": rear, name: front})
+    step = first_step(several)
+    assert step == min(round(1.0 / drive.dt), len(drive) - 1) > 0
+    assert np.allclose(first_look(several).eye, look(several, name, step).eye)
+    assert first_look(dataclasses.replace(drive, cameras={})).fov != front.fov
+    assert first_step(dataclasses.replace(drive, rig=None, cameras={})) == 0
 
 
 def test_the_drivable_area_keeps_its_size(tiny_map: HdMap) -> None:

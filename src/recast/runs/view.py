@@ -127,34 +127,63 @@ def _parts(kinds: dict[str, list[Path]]) -> ViewInputs:
     if len(kinds.get("log", [])) > 1:
         raise InputError(kinds["log"][1], "WHAT", "is a second log", "name one log only")
     log = read_log(kinds["log"][0]) if "log" in kinds else None
+    return parts_inputs(
+        ", ".join(path.name for paths in kinds.values() for path in paths),
+        log,
+        [(path.name, load_scene(path)) for path in kinds.get("scene", [])],
+        [(path.name, load_actor(path)) for path in kinds.get("actor", [])],
+        [(_driven(path), path) for path in kinds.get("rollout", [])],
+    )
+
+
+def _driven(path: Path) -> Rollout:
+    rollout = read_rollout(path)
+    if isinstance(rollout, RolloutFailure):
+        raise InputError(path, "rollout", f"failed: {rollout.reason}", "name another rollout")
+    return rollout
+
+
+def parts_inputs(
+    title: str,
+    log: DrivingLog | None,
+    streets: Sequence[tuple[str, StreetScene]],
+    actors: Sequence[tuple[str, Actor]],
+    rollouts: Sequence[tuple[Rollout, Path | None]],
+) -> ViewInputs:
+    """A log, scenes, actors and rollouts that belong to no run folder.
+
+    Args:
+        streets, actors: with their names; each is an arm.
+        rollouts: with the folders that have their films, if there are some.
+
+    Raises:
+        InputError: there are rollouts, but no log.
+    """
     hdmap = None if log is None else _map(log)
     scenes: dict[str, StreetScene | None] = {}
-    for path in kinds.get("scene", []):
-        scenes[_free(path.name, scenes)] = load_scene(path)
-    actors: dict[str, dict[str, Actor]] = {}
-    for path in kinds.get("actor", []):
-        actor = load_actor(path)
-        base = next((s for s in scenes.values() if s is not None), None)
-        name = _free(path.name, scenes)
-        scenes[name] = alone(actor) if base is None else base.with_actor(actor)
-        actors[name] = {actor.track_id: actor}
-    title = ", ".join(path.name for paths in kinds.values() for path in paths)
+    for name, street in streets:
+        scenes[_free(name, scenes)] = street
+    shown: dict[str, dict[str, Actor]] = {}
+    base = streets[0][1] if streets else None
+    for name, actor in actors:
+        arm = _free(name, scenes)
+        scenes[arm] = alone(actor) if base is None else base.with_actor(actor)
+        shown[arm] = {actor.track_id: actor}
     drives = _drives(log, scenes)
     scenarios: dict[str, dict[str, ViewedDrive]] = {_RECORDED: drives} if drives else {}
-    if "rollout" in kinds:
+    if rollouts:
         if log is None:
             raise InputError(
-                kinds["rollout"][0],
+                rollouts[0][1] or "rollout",
                 "WHAT",
                 "is a rollout outside of a run folder",
                 "name its log folder and its scene folder, too",
             )
-        scenarios = _rollouts(kinds["rollout"], log, hdmap, scenes) | scenarios
+        scenarios = _rollouts(rollouts, log, hdmap, scenes) | scenarios
     runner = None
-    first = next((scene for scene in scenes.values() if scene is not None), None)
     if log is not None and hdmap is not None and log.tracks:
-        runner = log_runner(log, hdmap, scenes, first)
-    return ViewInputs(title, scenes, scenarios, log, hdmap, actors, runner)
+        runner = log_runner(log, hdmap, scenes, base or next(iter(scenes.values())))
+    return ViewInputs(title, scenes, scenarios, log, hdmap, shown, runner)
 
 
 def _drives(
@@ -176,7 +205,7 @@ def _drives(
 
 
 def _rollouts(
-    paths: Sequence[Path],
+    rollouts: Sequence[tuple[Rollout, Path | None]],
     log: DrivingLog,
     hdmap: HdMap | None,
     scenes: dict[str, StreetScene | None],
@@ -184,10 +213,7 @@ def _rollouts(
     """Drives of rollouts by motion and arm; an arm gets the scene of its name, or the first."""
     drives: dict[str, dict[str, ViewedDrive]] = {}
     first = next((scene for scene in scenes.values() if scene is not None), None)
-    for path in paths:
-        rollout = read_rollout(path)
-        if isinstance(rollout, RolloutFailure):
-            raise InputError(path, "rollout", f"failed: {rollout.reason}", "name another rollout")
+    for rollout, path in rollouts:
         scenes.setdefault(rollout.arm, first)
         arms = drives.setdefault(f"{rollout.motion}-{rollout.setting}, {rollout.planner}", {})
         arms[rollout.arm] = drive_of(rollout, path, log, hdmap)
@@ -307,9 +333,12 @@ def named_place(path: Path) -> Path:
     return Path(os.path.normpath(path.absolute()))
 
 
-def drive_of(rollout: Rollout, folder: Path, log: DrivingLog, hdmap: HdMap | None) -> ViewedDrive:
-    """A rollout with the films beside it, in the folder that `make_rollout` wrote."""
-    found = {name: FilmFile(path, rollout.steps_run) for name, path in films(folder).items()}
+def drive_of(
+    rollout: Rollout, folder: Path | None, log: DrivingLog, hdmap: HdMap | None
+) -> ViewedDrive:
+    """A rollout with the films beside it, in the folder that `make_rollout` wrote, if any."""
+    kept = {} if folder is None else films(folder)
+    found = {name: FilmFile(path, rollout.steps_run) for name, path in kept.items()}
     mounts = camera_mounts(log, [name for name in found if name in log.cameras])
     return rollout_drive(rollout, log, hdmap, mounts, found)
 

@@ -26,6 +26,7 @@ from recast.viewer.panels import (
     LayersPanel,
     PlayPanel,
     first_look,
+    first_step,
     open_at,
     overview,
 )
@@ -82,6 +83,7 @@ class Page:
         self.pruned = _share(self.stage.splats.kept, self.stage.splats.total)
         self._fill(out)
         open_at(self.server, first_look(self.playback.drive))
+        self.playback.go_to(first_step(self.playback.drive))
         self.playback.subscribe(self._changed)
         self.stage.show(self.playback.shown)
         self._thread = Thread(target=self._work, name="recast-viewer", daemon=True)
@@ -94,6 +96,10 @@ class Page:
         """Address for a browser on this machine."""
         host = self.server.get_host()
         return f"http://{'localhost' if host == '0.0.0.0' else host}:{self.server.get_port()}"
+
+    def _repr_html_(self) -> str:
+        """The page in a notebook."""
+        return f'<iframe src="{self.url}" width="100%" height="600"></iframe>'
 
     def close(self) -> None:
         """Stop playing and serving."""

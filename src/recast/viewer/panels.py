@@ -28,7 +28,9 @@ BEHIND_EGO = "behind the ego"
 ABOVE = "from above"
 AT_ACTOR = "beside the actor"
 _FOV = np.radians(60.0)
-_OVERVIEW = 30  # steps
+_FIRST_S = 1.0
+_ABOVE_START, _AHEAD_OF_START = (-2.0, 0.0, 3.2), (14.0, 0.0, 0.8)
+"""Metres from the rig: near the logged cameras, and above the roof of the ego."""
 _FREE = "none"
 _SPEEDS = ("0.1", "0.25", "0.5", "1", "2", "4")
 
@@ -85,18 +87,29 @@ def beside(drive: ViewedDrive, track: str, step: int) -> PlayLook:
     return _from(pose, (1.1 * reach, 1.1 * reach, 0.45 * reach), (0.0, 0.0, 0.0))
 
 
+def first_step(drive: ViewedDrive) -> int:
+    """The step at which the page opens: a second after the start, when all is in motion."""
+    return min(round(_FIRST_S / drive.dt), len(drive) - 1) if drive.rig is not None else 0
+
+
 def first_look(drive: ViewedDrive) -> PlayLook:
-    """What is seen when the page opens."""
-    name = next(iter(look_names(drive)))
-    return look(drive, name, 0)
+    """What is seen when the page opens: what the camera that looks ahead sees.
+
+    There a street is sharpest: from other places it shows what no image does.
+    """
+
+    def ahead(name: str) -> float:
+        return float(drive.cameras[name].rig_from_camera[0, 2])
+
+    name = max(drive.cameras, key=ahead, default=next(iter(look_names(drive))))
+    return look(drive, name, first_step(drive))
 
 
 def overview(drive: ViewedDrive) -> PlayLook:
-    """A look over all of a drive's first seconds from behind, for who cannot ride along."""
+    """A look along the drive from just above where it begins, for who cannot ride along."""
     if drive.rig is None:
         return first_look(drive)
-    middle = drive.rig[min(len(drive) // 2, _OVERVIEW)]
-    return _from(middle, (-20.0, 0.0, 8.0), (14.0, 0.0, 0.0))
+    return _from(drive.rig[0], _ABOVE_START, _AHEAD_OF_START)
 
 
 def _middle(drive: ViewedDrive, step: int) -> Array:
