@@ -1,4 +1,4 @@
-"""MkDocs hook: makes the reference pages from the code while the documentation is built.
+"""MkDocs hook: makes the reference pages from the code, and orders the results of the search.
 
 Command line from the parsers of `recast`, configuration tables from the pydantic models, and one
 page of the API for each package. None of these pages is a file in the repository.
@@ -17,6 +17,7 @@ import docstring_parser
 import tyro
 from mkdocs.config.defaults import MkDocsConfig
 from mkdocs.structure.files import File, Files
+from mkdocs.structure.pages import Page
 from pydantic import BaseModel
 from pydantic_core import PydanticUndefined
 from tyro import _parsers, _singleton
@@ -81,6 +82,29 @@ MODELS = {
         ),
     ),
 }
+API_BOOST = 0.01
+"""Weight of the API in the search: below every heading of a guide, above single words of its text
+(the theme gives headings 1000 times the weight of text)."""
+SEARCHED = {
+    "scenarios.md": ["cut-in", "oncoming", "stationary", "advancing"],
+    "planners.md": ["gtrs-mini", "pdm-closed", "idm-follower"],
+    "image_to_3d.md": ["recast-mini"],
+    "runs.md": ["native", "replaced"],
+}
+"""Words for which the search shows a page first, though none of its headings has them."""
+
+
+def on_config(config: MkDocsConfig) -> None:
+    """Say at the foot of every page which version it is of."""
+    config.copyright = f"recast {recast.__version__}"
+
+
+def on_page_markdown(markdown: str, *, page: Page, **_: Any) -> None:
+    """Order the search: guides before the API, and pages by their `SEARCHED` words."""
+    path = page.file.src_uri
+    if path.startswith("reference/api/"):
+        page.meta["search"] = {"boost": API_BOOST}
+    page.meta["tags"] = SEARCHED.get(path)
 
 
 def on_files(files: Files, *, config: MkDocsConfig) -> Files:

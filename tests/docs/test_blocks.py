@@ -84,6 +84,13 @@ def test_a_wrong_option_is_refused(parsed) -> None:
     assert parsed(["run", "log", "--track", "0", "--out", "x", "--motion", "cut-in"]) == ""
 
 
+def test_the_home_page_begins_with_the_commands_of_the_readme() -> None:
+    home = REPOSITORY / "docs" / "index.md"
+    assert home.read_text().startswith("# recast\n\n```bash\ngit clone ")
+    lines = next(blocks(home)).text.splitlines()
+    assert lines[1:] == next(blocks(REPOSITORY / "README.md")).text.splitlines()
+
+
 # Blocks that run, on the tiny drive of the tests
 
 
