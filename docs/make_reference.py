@@ -330,7 +330,8 @@ def _plain(text: str) -> str:
 
 def _cell(text: str) -> str:
     told = _plain(" ".join(text.split())).replace("|", "\\|")
-    return re.sub(r"docs/(\w+)\.md(#[\w-]+)?", r"[\1](../\1.md\2)", told)
+    page = r"(?:docs/(\w+)\.md|recast docs (\w+))(#[\w-]+)?"
+    return re.sub(page, r"[\1\2](../\1\2.md\3)", told)
 
 
 def _code(value: str) -> str:

@@ -100,7 +100,7 @@ def test_what_cannot_be_served_is_one_line(
         assert main(["serve", "sensorsim", *words]) == 2
         said = capsys.readouterr().err
         assert said.count("\n") == 1 and problem in said, said
-        assert "docs/howto/alpasim.md" in said
+        assert "recast docs howto/alpasim" in said
 
 
 def test_without_the_extra_it_says_how_to_get_it(

@@ -27,16 +27,16 @@ def test_every_area_is_a_module_of_ours() -> None:
 @pytest.mark.parametrize(
     ("words", "page"),
     [
-        (["weights", "path", "nonesuch"], "docs/weights.md#names"),
-        (["log", "info", "{}/none"], "docs/data.md#the-log-folder"),
+        (["weights", "path", "nonesuch"], "recast docs weights#names"),
+        (["log", "info", "{}/none"], "recast docs data#the-log-folder"),
         (
             ["log", "import", "kitti", "{}", "--drive", "x", "--out", "{}/o"],
-            "docs/data.md#what-can-be-read",
+            "recast docs data#what-can-be-read",
         ),
-        (["scenario", "list", "{}/none.yaml"], "docs/scenarios.md#your-own-as-a-file"),
-        (["store", "list", "{}"], "docs/runs.md#the-store"),
-        (["demo", "--planner", "nonesuch", "--out", "{}/demo"], "docs/planners.md#built-in"),
-        (["trellis", "verify", "{}"], "docs/image_to_3d.md#model-folders"),
+        (["scenario", "list", "{}/none.yaml"], "recast docs scenarios#your-own-as-a-file"),
+        (["store", "list", "{}"], "recast docs runs#the-store"),
+        (["demo", "--planner", "nonesuch", "--out", "{}/demo"], "recast docs planners#built-in"),
+        (["trellis", "verify", "{}"], "recast docs image_to_3d#model-folders"),
         (["doctor", "--nonesuch"], None),
     ],
 )
@@ -45,7 +45,7 @@ def test_an_error_names_the_page_that_helps(
 ) -> None:
     assert main([word.replace("{}", str(tmp_path)) for word in words]) == 2
     [line] = capsys.readouterr().err.splitlines()
-    assert line.endswith(f"; see {page}") if page else "docs/" not in line
+    assert line.endswith(f"; see {page}") if page else "docs" not in line
     assert len(line) <= LINE_LIMIT + len("recast: ")
 
 
@@ -73,4 +73,4 @@ def test_a_missing_package_points_to_the_extras(
 ) -> None:
     monkeypatch.setitem(sys.modules, "embreex.rtcore_scene", None)
     assert main(["demo", "--out", str(tmp_path / "demo")]) == 2
-    assert capsys.readouterr().err.rstrip().endswith("see docs/install.md#extras")
+    assert capsys.readouterr().err.rstrip().endswith("see recast docs install#extras")

@@ -1,4 +1,4 @@
-"""Pages that messages, help texts and comments of the code name: they and their headings exist."""
+"""Pages that messages, help texts and comments name: they exist, and `recast docs` prints them."""
 
 from __future__ import annotations
 
@@ -8,14 +8,16 @@ from pathlib import Path
 import pytest
 from markdown.extensions.toc import slugify
 
+from recast.cli.docs import docs_pages, page_sections, topic_text
+from recast.core.errors import InputError
 from support.doc_blocks import REPOSITORY
 
-FOLDERS = ("src", "tests", "examples", "benchmarks")
-_NAMED = re.compile(r"\bdocs/[\w/]+\.md(?:#[\w-]+)?")
+FOLDERS = ("src", "bridges/src", "tools/src", "tests", "examples", "benchmarks")
+_NAMED = re.compile(r"\b(?:docs/[\w/]+\.md|recast docs [\w/]+)(?:#[\w-]+)?")
 
 
 def headings(page: Path) -> set[str]:
-    """Anchors of a page's headings, as MkDocs makes them."""
+    """Anchors of a page's headings, by MkDocs' own function."""
     text = re.sub(r"^ *```.*?^ *```$", "", page.read_text(), flags=re.M | re.S)
     return {
         slugify(re.sub(r"\[([^\]]*)\]\([^)]*\)|[`*]", r"\1", row), "-")
@@ -28,14 +30,17 @@ def test_named_pages_exist(folder: str) -> None:
     wrong, count = [], 0
     for source in (REPOSITORY / folder).rglob("*.py"):
         for name in set(_NAMED.findall(source.read_text())):
-            page, _, anchor = name.partition("#")
-            path, count = REPOSITORY / page, count + 1
-            if not path.is_file() or (anchor and anchor not in headings(path)):
-                wrong.append(f"{source.relative_to(REPOSITORY)}: {name}")
+            count += 1
+            try:
+                topic_text(name.removeprefix("recast docs "))
+            except InputError as error:
+                wrong.append(f"{source.relative_to(REPOSITORY)}: {error}")
     assert not wrong, "\n".join(wrong)
     assert folder != "src" or count > 60
 
 
 def test_anchors_are_those_of_the_headings() -> None:
-    found = headings(REPOSITORY / "docs" / "runs.md")
-    assert {"the-store", "a-configuration-file"} <= found and "version" not in found
+    for path in docs_pages().values():
+        assert page_sections(path.read_text()).keys() == headings(path), path
+    found = page_sections((REPOSITORY / "docs" / "runs.md").read_text())
+    assert {"the-store", "a-configuration-file"} <= found.keys() and "version" not in found

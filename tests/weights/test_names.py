@@ -199,7 +199,7 @@ def test_the_command_line(
     assert told(capsys, "path", "toy") == (
         2,
         "recast: weights: toy: are not downloaded; run `recast weights get toy`; "
-        "see docs/weights.md#names",
+        "see recast docs weights#names",
     )
     assert "no weights in" in told(capsys, "verify")[1]
     code, text = told(capsys, "get", "toy")
@@ -264,7 +264,7 @@ def test_options_that_take_paths(
         assert main(words) == 2
         name = next(one for one in reversed(words) if one in PUBLISHED)
         line = f"recast: weights: {name}: are not downloaded; run `recast weights get {name}`"
-        line += "; see docs/weights.md#names"
+        line += "; see recast docs weights#names"
         assert capsys.readouterr().err.splitlines() == [line]
     assert located("--clip", None) is None
     assert located("--clip", tmp_path) == tmp_path

@@ -23,6 +23,7 @@ from tyro import _errors as refused  # private: pyproject.toml bounds tyro's ver
 
 from recast.cli import shared
 from recast.cli.bench import Bench, Search
+from recast.cli.docs import Docs
 from recast.cli.eval import Eval
 from recast.cli.log import Log, Scenario
 from recast.cli.machine import Doctor, Store, Trellis, Weights
@@ -38,7 +39,7 @@ from recast.core.plugins import INSTALLED_BY
 
 @dataclass(frozen=True)
 class Completion:
-    """Print the completion script of a shell; docs/install.md says how to install it."""
+    """Print the completion script of a shell; recast docs install says how to install it."""
 
     shell: tyro.conf.Positional[Literal["bash", "zsh", "fish"]]
     """Shell that completes `recast`."""
@@ -66,6 +67,7 @@ COMMANDS: shared.Commands = shared.with_installed(
         "store": Store,
         "weights": Weights,
         "doctor": Doctor,
+        "docs": Docs,
         "completion": Completion,
     },
 )
@@ -79,8 +81,7 @@ _DESCRIPTION = """Closed-loop driving simulation from recorded logs.
 Every command also takes --verbose (show debug records and the tracebacks of errors) and --log-file
 FILE (append the same records to FILE). recast --version prints the version.
 
-Messages name pages of the documentation, such as docs/install.md; recast doctor prints the folder
-of these pages."""
+The pages of the documentation: recast docs. One of them: recast docs install."""
 
 _APART = {
     "recast-bridges": (

@@ -156,7 +156,7 @@ class GaussiansFile:
 
 Import = shared.group(
     "scene import",
-    "Import a scene that another program trained (docs/scenes.md).",
+    "Import a scene that another program trained (recast docs scenes).",
     {"gaussians": GaussiansFile},
 )
 Scene = shared.group(

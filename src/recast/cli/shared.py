@@ -123,7 +123,7 @@ ARM_HELP = (
     "replaced (a generated vehicle), oracle (the truth of a synthetic log), a generator such as "
     "recast-mini, a street such as omnire or a scene folder, both such as omnire+template, "
     "noise-floor (the truth disturbed in four ways), decomposition (truth and reconstruction in "
-    "all pairings), or a file of arms (docs/runs.md#arms). May be repeated."
+    "all pairings), or a file of arms (recast docs runs#arms). May be repeated."
 )
 ARM_DEFAULT = "native and replaced"
 ARM = option(ARM_HELP, ARM_DEFAULT)
@@ -168,7 +168,7 @@ Refine = Annotated[
 SEGMENTER = option(
     "Segmenter that cuts the vehicle out of the images: box-lidar, the name of an installed "
     "segmenter, grounded-sam (recast weights), or a folder with grounding-dino and sam "
-    "(docs/actors.md).",
+    "(recast docs actors).",
     "box-lidar",
     metavar="NAME",
 )
@@ -190,10 +190,12 @@ STORE_HELP = "Folder or address (s3://...) of the artefacts that runs share."
 PRESET = option(
     "Reconstruction method: streetgs (Street Gaussians) or omnire (OmniRe).", "recast's own"
 )
-CONFIG_HELP = "Configuration file (JSON, docs/runs.md#a-configuration-file); options override it."
+CONFIG_HELP = (
+    "Configuration file (JSON, recast docs runs#a-configuration-file); options override it."
+)
 SCENE_CONFIG = option(
-    "Scene configuration file (JSON, docs/scenes.md#configuration); it overrides the preset, and "
-    "options override it."
+    "Scene configuration file (JSON, recast docs scenes#configuration); it overrides the preset, "
+    "and options override it."
 )
 CAMERAS = option(
     "Names of the cameras to use.", "all cameras of the log", metavar="NAME [NAME ...]"
@@ -384,7 +386,14 @@ def line_of(error: InputError, command: object = None) -> str:
     where, field, mend = (
         re.sub("`([a-z_]+)`", shown, text) for text in (error.where, error.field, error.mend)
     )
-    return InputError(where, field, error.problem, mend).line(page_of(error))
+    page = page_of(error)
+    mend, page = topics_named(mend), page and topics_named(page)
+    return InputError(where, field, error.problem, mend).line(page)
+
+
+def topics_named(text: str) -> str:
+    """`text` with each page that it names, such as docs/runs.md#arms, as a command prints it."""
+    return re.sub(r"\bdocs/([\w/]+)\.md\b", r"recast docs \1", text)
 
 
 def page_of(error: InputError) -> str | None:

@@ -30,6 +30,7 @@ from rich.text import Text
 from rich.tree import Tree
 
 from recast import __version__, kernel
+from recast.cli.docs import docs_folder
 from recast.cli.shared import Rows
 from recast.core import Artefact, Store, files
 from recast.core.artefact import references
@@ -100,11 +101,7 @@ def _platform() -> list[MachineFinding]:
 
 
 def _pages() -> MachineFinding:
-    package = Path(__file__).parents[2]
-    folders = (package / "docs", package.parents[1] / "docs")  # of a wheel, of a checkout
-    return MachineFinding(
-        "docs", None, next((str(one) for one in folders if one.is_dir()), "missing")
-    )
+    return MachineFinding("docs", None, str(docs_folder() or "missing"))
 
 
 def _kernel() -> MachineFinding:
