@@ -91,6 +91,14 @@ def test_the_home_page_begins_with_the_commands_of_the_readme() -> None:
     assert lines[1:] == next(blocks(REPOSITORY / "README.md")).text.splitlines()
 
 
+def test_the_tutorial_trains_one_street() -> None:
+    pages = [words for block, _, words in SHELL if block.page.name == "tutorial.md"]
+    [trained] = [words[-1] for words in pages if words[:2] == ["scene", "train"]]
+    runs = [words for words in pages if words[0] == "run"]
+    assert len(runs) == 2
+    assert all(words[words.index("--scene") + 1] == trained for words in runs)
+
+
 # Blocks that run, on the tiny drive of the tests
 
 
