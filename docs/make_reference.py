@@ -90,6 +90,8 @@ SEARCHED = {
     "planners.md": ["gtrs-mini", "pdm-closed", "idm-follower"],
     "image_to_3d.md": ["recast-mini"],
     "runs.md": ["native", "replaced"],
+    "search.md": ["boundary"],
+    "limits.md": ["limits", "limitations"],
 }
 """Words for which the search shows a page first, though none of its headings has them."""
 

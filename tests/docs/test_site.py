@@ -31,6 +31,8 @@ ASKED = {
     "closed loop": "bench/",
     "search": "search/",
     "trust": "trust/",
+    "limits": "limits/",
+    "boundary": "search/",
     "gpu": "howto/gpu/",
     "install": "install/",
     "DrivingLog": "reference/api/recast.logs/",
