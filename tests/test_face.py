@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import doctest
 import importlib
+import importlib.resources
 import shutil
 import subprocess
 import sys
@@ -124,6 +125,33 @@ def test_the_way_from_a_log_to_a_report(names: dict[str, Any], tmp_path: Path) -
     assert "NC" in told and "R_c" in told and len(told.splitlines()) >= 7
     page = recast.write_report(sim.rollout, tmp_path / "report").read_text()
     assert "Advancing" in page and list((tmp_path / "report").rglob("*.mp4"))
+
+
+def test_large_objects_are_shown_briefly(names: dict[str, Any]) -> None:
+    log, rollout = names["log"], names["rollout"]
+    actor = recast.make_actor(log, "0", generator=f"{names['folder']}/car.ply", axes="x,z")
+    shown = {
+        "DrivingLog": (log, "cameras=1, lidars=1, tracks=2, map=derived"),
+        "StreetScene": (names["scene"], "actors=1"),
+        "Actor": (actor, "track=0, category=car"),
+        "Rollout": (rollout, "steps=10 of 10"),
+        "RolloutMetrics": (recast.score(rollout), "NC=100.00 %"),
+    }
+    for name, (one, said) in shown.items():
+        line, page = repr(one), one._repr_html_()
+        assert line.startswith(f"{name}(") and line.endswith(")") and said in line, line
+        assert len(line) < 200 and line.isprintable() and "array" not in line
+        assert page.startswith(f"<table><caption>{name}</caption>") and len(page) < 2000
+    hostile = replace(log, name="<b>\n" * 100)
+    assert len(repr(hostile)) < 200 and "\n" not in repr(hostile)
+    assert "<b>" not in hostile._repr_html_() and "&lt;b&gt;" in hostile._repr_html_()
+    assert "DrivingLog object" in repr(replace(log, tracks=None))
+
+
+def test_every_package_has_its_types() -> None:
+    """The wheels hold whole packages, so the marker of PEP 561 is in them, too."""
+    for package in ("recast", "recast_bridges", "recast_tools"):
+        assert importlib.resources.files(package).joinpath("py.typed").is_file(), package
 
 
 def test_what_takes_no_place_says_so(names: dict[str, Any]) -> None:

@@ -5,6 +5,8 @@ from __future__ import annotations
 import errno
 import logging
 import os
+import subprocess
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -23,6 +25,14 @@ RUN = ("run", "log", "--track", "0", "--out", "x")
 def quiet_again() -> Iterator[None]:
     yield
     diagnostics.begin(Diagnostics())
+
+
+def test_the_package_is_the_command() -> None:
+    command = [sys.executable, "-m", "recast"]
+    done = subprocess.run([*command, "--version"], capture_output=True, text=True)
+    assert (done.returncode, done.stdout) == (0, f"recast {recast.__version__}\n")
+    done = subprocess.run([*command, "rnu"], capture_output=True, text=True)
+    assert done.returncode == 2 and done.stderr.startswith("recast: command line: rnu: is not a")
 
 
 @pytest.mark.parametrize(

@@ -16,6 +16,7 @@ from recast.actors.icp import Fit
 from recast.actors.observation import MaskQuality, Observation
 from recast.arrays import Array
 from recast.cameras import PinholeCamera, box_rectangle
+from recast.core.brief import Brief
 from recast.core.records import Record
 from recast.geometry import se3
 from recast.logs import Trajectory
@@ -481,8 +482,8 @@ def _source(observation: Observation) -> dict[str, Any]:
     }
 
 
-@dataclass(frozen=True)
-class Actor:
+@dataclass(frozen=True, repr=False)
+class Actor(Brief):
     """A view-complete vehicle, ready to stand in for a track.
 
     Attributes:
@@ -514,6 +515,16 @@ class Actor:
     trajectory: Trajectory | None = None
     sun: Array | None = None
     seen_shadow: Gaussians | None = None
+
+    def _facts(self) -> Mapping[str, object]:
+        return {
+            "track": self.track_id,
+            "category": self.category,
+            "size": " x ".join(f"{side:.2f}" for side in self.size) + " m",
+            "gaussians": len(self.gaussians),
+            "generator": self.provenance.generator,
+            "refined": "no" if self.provenance.refinement is None else "yes",
+        }
 
     def inserted_into(self, scene: StreetScene) -> StreetScene:
         """The scene with this vehicle in its track's place; see `recast.actors.insert`."""

@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike
 
 from recast.arrays import Array, Float32Array, Image, Int64Array, Mask
 from recast.cameras import PinholeCamera
+from recast.core.brief import Brief
 from recast.geometry import se3
 from recast.logs import checks
 from recast.logs.hdmap import HdMap
@@ -189,8 +190,8 @@ class Track:
         self.trajectory.validate(where)
 
 
-@dataclass(frozen=True)
-class DrivingLog:
+@dataclass(frozen=True, repr=False)
+class DrivingLog(Brief):
     """A recorded drive.
 
     Attributes:
@@ -216,6 +217,15 @@ class DrivingLog:
     world_offset: Array = field(default_factory=lambda: np.zeros(3))
     metadata: Mapping[str, str] = field(default_factory=dict)
     origin: Path | None = field(default=None, init=False, compare=False)
+
+    def _facts(self) -> Mapping[str, object]:
+        times = self.world_from_rig.timestamps_us
+        return {
+            "name": self.name,
+            "seconds": f"{(times[-1] - times[0]) / 1e6:.1f}",
+            **{kind: len(getattr(self, kind)) for kind in ("cameras", "lidars", "tracks")},
+            "map": "no" if self.map is None else "derived" if self.map.derived else "yes",
+        }
 
     def validate(self) -> None:
         """Raise ValueError naming the field at fault: shape, order, range, rotation, name.

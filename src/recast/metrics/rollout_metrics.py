@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from recast.core.brief import Brief
 from recast.dynamics import state as ego
 from recast.geometry.boxes import TOUCHING
 from recast.logs.hdmap import HdMap, drivable_region
@@ -46,8 +47,8 @@ _OF_ROLLOUT = (
 )
 
 
-@dataclass(frozen=True)
-class RolloutMetrics:
+@dataclass(frozen=True, repr=False)
+class RolloutMetrics(Brief):
     """What one rollout scored, and why.
 
     Attributes:
@@ -91,22 +92,33 @@ class RolloutMetrics:
     comfort_4_13: Comfort
     comfort_nuplan_savgol: Comfort
     driven: Comfort
-    rollout: Rollout = field(repr=False)
-    hd_map: HdMap | None = field(repr=False)
+    rollout: Rollout
+    hd_map: HdMap | None
 
     def __str__(self) -> str:
         """The headline metrics, a line each, with their reasons."""
         lines = [f"{self.name} by {self.planner}: {self.steps_run} of {self.steps_requested} steps"]
         if self.cut_reason is not None:
             lines[0] += f" ({self.cut_reason})"
-        for name, metric in self.values.items():
+        for name, metric in self._headline():
             column = COLUMNS[name]
-            if not column.headline:
-                continue
-            shown = "n/a" if metric.value is None else f"{column.scale * metric.value:.2f}"
-            line = f"  {column.label:<11}{shown:>7} {column.unit:<2}"
+            line = f"  {column.label:<11}{column.shown(metric):>7} {column.unit:<2}"
             lines.append(line if metric.reason is None else f"{line} {metric.reason}")
         return "\n".join(lines)
+
+    def _headline(self) -> list[tuple[str, Metric]]:
+        return [(name, metric) for name, metric in self.values.items() if COLUMNS[name].headline]
+
+    def _facts(self) -> Mapping[str, object]:
+        return {
+            "name": self.name,
+            "planner": self.planner,
+            "steps": f"{self.steps_run} of {self.steps_requested}",
+            **{
+                COLUMNS[name].label: f"{COLUMNS[name].shown(metric)} {COLUMNS[name].unit}"
+                for name, metric in self._headline()
+            },
+        }
 
     @property
     def plans(self) -> int:

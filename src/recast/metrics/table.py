@@ -84,6 +84,10 @@ class Column:
         """Label and unit, in two lines if the label has two words."""
         return f"{self.label} {self.unit}".replace(" ", "\n", int(" " in self.label))
 
+    def shown(self, metric: Metric) -> str:
+        """The value in the column's unit, with two decimals; "n/a" if there is none."""
+        return "n/a" if metric.value is None else f"{self.scale * metric.value:.2f}"
+
 
 COLUMNS: Mapping[str, Column] = {
     "nc": Column("NC", "%", 100.0, True, passes=True),

@@ -13,6 +13,7 @@ from torch import Tensor
 
 from recast.arrays import Array, BoolArray, Float32Array, Int64Array
 from recast.cameras import PinholeCamera
+from recast.core.brief import Brief
 from recast.geometry import se3
 from recast.logs import Trajectory
 from recast.logs.checks import check_times
@@ -130,8 +131,8 @@ class Insertable(Protocol):
         """The scene with it in the place of the actor with its track id."""
 
 
-@dataclass(frozen=True)
-class StreetScene:
+@dataclass(frozen=True, repr=False)
+class StreetScene(Brief):
     """Background, actors and sky.
 
     Attributes:
@@ -164,7 +165,15 @@ class StreetScene:
     mounts: Mapping[str, Array] = field(default_factory=dict)
     unseen: Tensor | None = None
     sky_seen: Tensor | None = None
-    origin: Path | None = field(default=None, init=False, compare=False, repr=False)
+    origin: Path | None = field(default=None, init=False, compare=False)
+
+    def _facts(self) -> Mapping[str, object]:
+        return {
+            "log": self.log_name,
+            "background": f"{len(self.background)} Gaussians",
+            "actors": len(self.actors),
+            "origin": self.origin,
+        }
 
     def validate(self) -> None:
         """Raise ValueError naming the member at fault: shape, range, order, or not finite."""

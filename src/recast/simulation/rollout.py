@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from recast.arrays import Array, Int64Array
+from recast.core.brief import Brief
 from recast.dynamics import EgoState
 from recast.dynamics.state import COLUMNS
 from recast.logs.checks import BOX_SIDE, LATEST_US, NAME_LIMIT, WORLD_REACH, check_poses, check_text
@@ -201,8 +202,8 @@ _LONGEST_TEXT = 4000
 """Names are shorter (`NAME_LIMIT`); a rollout's joins two, and a reason may quote some."""
 
 
-@dataclass(frozen=True)
-class Rollout:
+@dataclass(frozen=True, repr=False)
+class Rollout(Brief):
     """One closed-loop rollout of S executed steps, with states k = 0..S and C plans.
 
     Attributes:
@@ -260,7 +261,16 @@ class Rollout:
     other_actors: tuple[str, ...] = ()
     controlled: tuple[ControlledActor, ...] = ()
     reactive: tuple[str, ...] = ()
-    origin: RolloutOrigin | None = field(default=None, compare=False, repr=False)
+    origin: RolloutOrigin | None = field(default=None, compare=False)
+
+    def _facts(self) -> Mapping[str, object]:
+        return {
+            "name": self.name,
+            "planner": self.planner,
+            "arm": self.arm,
+            "steps": f"{self.steps_run} of {self.steps_requested}",
+            "cut": self.cut_reason or "no",
+        }
 
     def __getstate__(self) -> dict[str, Any]:
         # Another process neither needs the log nor can use the renderer.
