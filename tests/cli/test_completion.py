@@ -15,7 +15,8 @@ from recast.cli.main import main
 def test_the_shell_parses_the_script(shell: str, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["completion", shell]) == 0
     script = capsys.readouterr().out
-    assert "recast" in script
+    assert "offer(COMPLETION_SPEC)" in script and "cut-in-stop" in script
+    assert {"bash": "{completions:+", "zsh": '-z "$comp', "fish": '-z "$res'}[shell] in script
     if shutil.which(shell) is None:
         pytest.skip(f"{shell} is not installed")
     done = subprocess.run([shell, "-n"], input=script, capture_output=True, text=True)
@@ -30,6 +31,15 @@ def test_the_shell_parses_the_script(shell: str, capsys: pytest.CaptureFixture[s
         ("recast run --preset stree", {"streetgs"}),
         ("recast weights ge", {"get"}),
         ("recast run --scene FOLDER/pla", {"FOLDER/place"}),
+        ("recast run --motion cut-in-s", {"cut-in-stop", "cut-in-stop-a", "cut-in-stop-b"}),
+        ("recast bench closed-loop --planner pdm", {"pdm-closed"}),
+        ("recast bench closed-loop --planner FOLDER/pla", set()),  # bash completes files
+        ("recast actor make log --generator templ", {"template"}),
+        ("recast log import kit", {"kitti"}),
+        ("recast log import kitti FOLDER --dri", {"--drive"}),
+        ("recast log import kitti FOLDER/pla", set()),
+        ("recast log synth --scene urb", {"urban-straight"}),
+        ("recast weights get dino", {"dinov2"}),
     ],
 )
 def test_bash_completes(
@@ -43,10 +53,10 @@ def test_bash_completes(
     program = (
         f'source {script}; spec=$(complete -p recast); [[ $spec == *"-o default"* ]] || exit 9\n'
         f"COMP_WORDS=({' '.join(words)}); COMP_CWORD={len(words) - 1}\n"
-        '_tyro_recast; printf "%s\\n" "${COMPREPLY[@]}"'
+        '_tyro_recast; [ ${#COMPREPLY[@]} -eq 0 ] || printf "%s:\\n" "${COMPREPLY[@]}"'
     )
     done = subprocess.run(
         ["bash", "--norc", "-c", program], capture_output=True, text=True, check=True
     )
     wanted = {one.replace("FOLDER", str(tmp_path)) for one in expected}
-    assert set(done.stdout.split()) == wanted
+    assert set(done.stdout.split()) == {f"{one}:" for one in wanted}

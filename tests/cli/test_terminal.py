@@ -73,6 +73,7 @@ for words in {words if columns == 80 and name == "colours" else words[::9]!r}:
     lines = plain(shown)
     assert ended == 0 and len(lines) > 100, lines[-5:]
     assert [line for line in lines if len(line) > columns] == []
+    assert [line for line in lines if "(default: )" in line or "(default: None)" in line] == []
     assert ("\x1b[" in shown) == (name != "no colour")
     assert shown.isascii() == (name == "ascii")
 

@@ -32,7 +32,7 @@ class _Grid:
     """Synthetic scenes (NAME or NAME:SEED; the word synthetic for all nine), or log folders with
     the track to control (LOG:TRACK)."""
     out: Path
-    """Folder of the grid; the same command resumes a grid that was stopped."""
+    """Folder of the results; the same command resumes what was stopped."""
     arm: Annotated[
         shared.Names,
         shared.option(
@@ -47,7 +47,7 @@ class _Grid:
     scene: Annotated[Path | None, shared.SCENE] = None
     store: Annotated[
         str | None,
-        shared.option(shared.STORE_HELP, "store, beside the grid's folder", metavar="PATH"),
+        shared.option(shared.STORE_HELP, "store, beside --out", metavar="PATH"),
     ] = None
     workers: Annotated[int, shared.WORKERS] = 1
     ray: Annotated[str | None, shared.RAY] = None
@@ -151,7 +151,7 @@ class Search(_Grid):
     and several processes and machines work on one.
     """
 
-    scenes: tyro.conf.Positional[Annotated[tuple[str, ...], tyro.conf.arg(metavar="LOG")]]
+    scenes: Annotated[tyro.conf.Positional[tuple[str, ...]], shared.several("LOG...")]
     """Log folders with the track to control (LOG:TRACK, or LOG and --track), or synthetic scenes
     (NAME or NAME:SEED)."""
     motion: Annotated[
@@ -349,7 +349,9 @@ class Trust:
     truth, the area under the ROC curve and the Brier score.
     """
 
-    grids: tyro.conf.Positional[tuple[Path, ...]] = ()
+    grids: Annotated[
+        tyro.conf.Positional[tuple[Path, ...]], shared.several("GRID...", "required, or --validate")
+    ] = ()
     """Grids of `recast bench closed-loop` with an oracle arm, two scenes or more in all."""
     out: Annotated[
         Path | None,

@@ -28,7 +28,7 @@ class EvalPhotographs:
     """Make vehicles from one or several images and compare them with photographs that were
     reserved: parts, paint, sharpness, outline and pixels."""
 
-    set: Annotated[tyro.conf.Positional[tuple[Path, ...]], tyro.conf.arg(metavar="SET...")]
+    set: Annotated[tyro.conf.Positional[tuple[Path, ...]], shared.several("SET...")]
     """Folders of real crops (ID/input_views, ID/reserved_views) or vehicle sets, of which the
     held-out vehicles are used."""
     out: Path
@@ -177,7 +177,7 @@ class EvalPlanner:
 
     planner: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="PLANNER")]
     """Planner: as for `recast run --planner`."""
-    log: Annotated[tyro.conf.Positional[tuple[Path, ...]], tyro.conf.arg(metavar="LOG...")]
+    log: Annotated[tyro.conf.Positional[tuple[Path, ...]], shared.several("LOG...")]
     """Log folders."""
     out: Path
     """New folder for metrics.json and a page with the ten moments furthest from what was driven."""

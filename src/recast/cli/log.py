@@ -187,9 +187,11 @@ Log = shared.group(
 class ScenarioList:
     """Print scenarios with their numbers, or check scenario files."""
 
-    scenarios: tyro.conf.Positional[tuple[str, ...]] = ()
-    """Scenarios such as cut-in-a, motions such as cut-in, or scenario files (.yaml); all built-in
-    scenarios if none is named."""
+    scenarios: Annotated[
+        tyro.conf.Positional[tuple[str, ...]],
+        shared.several("SCENARIO...", "default: all built-in scenarios"),
+    ] = ()
+    """Scenarios such as cut-in-a, motions such as cut-in, or scenario files (.yaml)."""
     json: Annotated[bool, JSON] = False
 
     def __call__(self) -> None:

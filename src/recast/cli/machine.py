@@ -72,8 +72,8 @@ class Get:
 class WeightsVerify:
     """Read every byte of downloaded weights and compare it with the record of the download."""
 
-    name: Annotated[tyro.conf.Positional[str | None], _NAME] = None
-    """Name of downloaded weights (default: all)."""
+    name: Annotated[tyro.conf.Positional[str | None], shared.several("NAME", "default: all")] = None
+    """Name of downloaded weights."""
 
     def __call__(self) -> None:
         from recast.cli.rows.machine import verify_weights

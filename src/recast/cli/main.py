@@ -255,12 +255,78 @@ def _parsed(words: Sequence[str]) -> Callable[[], None]:
 def completion_script(shell: str) -> str:
     """The script with which a shell ("bash", "zsh" or "fish") completes `recast`.
 
-    In bash, arguments that are no option are completed as file names.
+    Names of motions, parts, streets and weights are those of now. Whatever else an argument is, it
+    is completed as a file name.
     """
     script = StringIO()
     with redirect_stdout(script), suppress(SystemExit):
         _parsed(["--tyro-write-completion", shell, "-"])
-    return script.getvalue().replace("complete -F ", "complete -o default -F ")
+    text = re.sub(
+        r"^COMPLETION_SPEC = .*\n",
+        lambda spec: f"{spec[0]}{_OFFER.format(values=_values())}",
+        script.getvalue(),
+        flags=re.MULTILINE,
+    )
+    for said, better in _FILES[shell].items():
+        text = text.replace(said, better)
+    return text
+
+
+def _values() -> dict[str, list[str]]:
+    """Names by option, by command and option, or by command for its first argument."""
+    from recast.core.plugins import GENERATORS, IMPORTERS, PLANNERS, RESTORERS, SEGMENTERS
+    from recast.simulation import MOTIONS
+    from recast.synthetic import SCENES
+    from recast.weights import PUBLISHED
+
+    motions = [*MOTIONS, *dict.fromkeys(motion.name for motion in MOTIONS.values())]
+    parts = (GENERATORS, PLANNERS, RESTORERS, SEGMENTERS)
+    return {
+        "--motion": motions,
+        "--scenes": [*SCENES],
+        "demo --scene": [*SCENES],
+        "eval planner": [*PLANNERS.names()],
+        "log import": [*IMPORTERS.names()],
+        "log synth --scene": [*SCENES],
+        "scenario list": motions,
+        "search": [*SCENES],
+        **{f"weights {word}": [*PUBLISHED] for word in ("get", "path", "verify")},
+        **{f"--{part.kind}": [*part.names()] for part in parts},
+    }
+
+
+_FILES: dict[str, dict[str, str]] = {
+    "bash": {
+        # An empty list, which has one empty word in tyro's script, lets bash complete files.
+        'COMPREPLY=("${matches[@]}")': 'COMPREPLY=(${completions:+"${matches[@]}"})',
+        "complete -F ": "complete -o default -F ",
+    },
+    "zsh": {
+        'if [[ "$completions" == "__TYRO': 'if [[ -z "$completions" || "$completions" == "__TYRO'
+    },
+    "fish": {'if test "$results" = __TYRO': 'if test -z "$results"; or test "$results" = __TYRO'},
+}
+"""What is replaced in tyro's scripts, so that words without a name among ours are file names."""
+_OFFER = """
+VALUES = {values}
+
+
+def offer(spec, path=''):
+    for option in spec['options']:
+        for flag in option['flags']:
+            names = VALUES.get(flag) or VALUES.get(path + ' ' + flag)
+            if names:
+                option.update(type='choice', choices=names)
+    for word, below in list(spec['subcommands'].items()):
+        offer(below, (path + ' ' + word).strip())
+    for name in VALUES.get(path, ()):
+        spec['subcommands'][name] = dict(spec, description=name, subcommands={{}})
+
+
+offer(COMPLETION_SPEC)
+"""
+"""Adds names to what tyro wrote. A first argument is told as a command with the same options. The
+scripts quote it in three ways: no double quotes, backslashes or dollars."""
 
 
 def _refuse(program: str, words: Sequence[str], event: refused.ParseErrorEvent) -> None:

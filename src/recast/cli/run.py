@@ -127,12 +127,12 @@ class Report:
     The result is one folder with index.html and everything that the page shows. It opens from disk.
     """
 
-    runs: tyro.conf.Positional[tuple[Path, ...]]
+    runs: Annotated[tyro.conf.Positional[tuple[Path, ...]], shared.several("RUN...")]
     """Run folder made by `recast run`; with --compare two or more of them."""
     compare: bool = False
     """Write one page that sets the runs side by side. Differences are to the first run."""
-    out: Path | None = None
-    """Folder to write to. Default: RUN/report. With --compare it must be named."""
+    out: Annotated[Path | None, shared.several("PATH", "default: RUN/report")] = None
+    """Folder to write to; required with --compare."""
 
     def __call__(self) -> None:
         if not self.compare and len(self.runs) != 1:
@@ -162,7 +162,7 @@ class Report:
 class ViewCommand:
     """Show logs, scenes, actors and rollouts in three dimensions, in a browser."""
 
-    what: tyro.conf.Positional[tuple[Path, ...]]
+    what: Annotated[tyro.conf.Positional[tuple[Path, ...]], shared.several("WHAT...")]
     """A run folder; or rollout folders of one run; or a log with scenes, actors and rollouts of
     it; or scenes or actors alone."""
     host: str = "127.0.0.1"
@@ -175,12 +175,12 @@ class ViewCommand:
     """Maximum number of Gaussians that browsers get; the most important ones are kept."""
     out: Path = Path("scenarios")
     """Folder for the scenario files that are saved from the page."""
-    replay: Path | None = None
+    replay: Annotated[Path | None, shared.several("PATH", "optional")] = None
     """Write this HTML file, which plays without a server, instead of opening a page."""
     replay_mb: float = 15.0
     """Maximum size of the replay in MB; fewer Gaussians make it smaller."""
-    scenario: str | None = None
-    """Scenario of the replay, such as cut-in-a. Default: the first one."""
+    scenario: Annotated[str | None, shared.several("NAME", "default: the first one")] = None
+    """Scenario of the replay, such as cut-in-a."""
 
     def __call__(self) -> None:
         from rich.console import Console

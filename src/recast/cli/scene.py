@@ -242,14 +242,14 @@ class Make:
 class Generate:
     """Generate vehicles from RGBA crops with an image-to-3D model, without a log."""
 
-    crop: tyro.conf.Positional[tuple[Path, ...]]
+    crop: Annotated[tyro.conf.Positional[tuple[Path, ...]], shared.several("IMAGE...")]
     """Images with alpha, each of another vehicle; several are generated in one batch."""
     model: Path
     """Model folder in the published layout (pipeline.json, ckpts/), recast-mini (in the package)
     or trellis (recast weights)."""
     out: Path
     """New folder for the vehicles."""
-    views: tuple[Path, ...] = ()
+    views: Annotated[tuple[Path, ...], shared.several("PATH [PATH ...]", "optional")] = ()
     """Further images of the same vehicle, in the order front, rear, left, right."""
     seed: Annotated[int, shared.SEED] = 0
     steps: Annotated[int | None, SAMPLING_STEPS] = None

@@ -111,6 +111,16 @@ def required(text: str) -> Any:
     return tyro.conf.arg(help=text)
 
 
+def several(metavar: str, hint: str = "required") -> Any:
+    """Form of an argument or option of several values, or of None; its field has the text.
+
+    Args:
+        metavar: name of the values in the help.
+        hint: what the help says in place of an empty default.
+    """
+    return tyro.conf.arg(metavar=metavar, help_behavior_hint=lambda _: f"({hint})")
+
+
 # What is driven.
 TRACK_HELP = "Id of the track to replace and control; `recast log info LOG` lists the ids."
 MOTION_HELP = (

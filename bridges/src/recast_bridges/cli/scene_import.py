@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from recast.scene.exchange import ImportRecord
 
 LOG_OR_OWN = shared.option("Log folder of the drive that the scene was trained on, or --own-log.")
+LEAVE_OUT = shared.several("ACTOR [ACTOR ...]", "optional")
 OWN_LOG = shared.option(
     "Log folder to write from the scene's own files, instead of --log; must not exist. It has the "
     "ego, cameras without images, and the actors."
@@ -70,7 +71,7 @@ class StreetGaussians:
     """Numbers of the cameras of the training."""
     world_from_scene: Annotated[Path | None, WORLD_FROM_SCENE] = None
     tracks: Annotated[Path | None, _tracks("obj_003")] = None
-    leave_out: tuple[str, ...] = ()
+    leave_out: Annotated[tuple[str, ...], LEAVE_OUT] = ()
     """Actors to leave out, such as obj_003."""
     share: Annotated[float, _share("time")] = 0.5
 
@@ -109,7 +110,7 @@ class DriveStudio:
     ] = None
     world_from_scene: Annotated[Path | None, WORLD_FROM_SCENE] = None
     tracks: Annotated[Path | None, _tracks("0", "the track at the same place")] = None
-    leave_out: tuple[str, ...] = ()
+    leave_out: Annotated[tuple[str, ...], LEAVE_OUT] = ()
     """Numbers of the actors to leave out."""
     share: Annotated[float, _share("view")] = 0.5
 
@@ -132,7 +133,7 @@ class Mtgs:
     tracks: Annotated[
         Path | None, _tracks("TOKEN", "the track of the same name, or at the same place")
     ] = None
-    leave_out: tuple[str, ...] = ()
+    leave_out: Annotated[tuple[str, ...], LEAVE_OUT] = ()
     """Tokens of the actors to leave out."""
     share: Annotated[float, _share("time")] = 0.5
 
@@ -166,7 +167,7 @@ class Hugsim:
     """Seconds of one unit of the scene's times: 0.1 if they are numbers of frames at 10 Hz."""
     world_from_scene: Annotated[Path | None, WORLD_FROM_SCENE] = None
     tracks: Annotated[Path | None, _tracks("12", "the track at the same place")] = None
-    leave_out: tuple[str, ...] = ()
+    leave_out: Annotated[tuple[str, ...], LEAVE_OUT] = ()
     """Names of the actors to leave out: 12 for dynamic_12.pth."""
     share: Annotated[float, _share("view")] = 0.5
 

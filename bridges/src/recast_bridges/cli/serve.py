@@ -21,7 +21,7 @@ _WORLD_FROM_LOCAL = (
 class _Scenes:
     """Options of what is served, and where."""
 
-    scene: tyro.conf.Positional[Annotated[tuple[str, ...], tyro.conf.arg(metavar="SCENE")]]
+    scene: Annotated[tyro.conf.Positional[tuple[str, ...]], shared.several("SCENE...")]
     """Scene folder or run folder; ID=FOLDER chooses the scene's id, else it is the name of its
     log. The id of a run is followed by -ARM, unless --arm chooses one."""
     log: Annotated[
