@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import logging
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Self
@@ -18,7 +18,7 @@ from recast.core.files import disk_errors
 
 if TYPE_CHECKING:
     from rich.console import Console
-    from rich.progress import ProgressColumn
+    from rich.progress import ProgressColumn, Task
 
 
 _LOGGER = logging.getLogger("recast")
@@ -101,19 +101,25 @@ def tell(progress: Progress | None, done: int, total: int) -> None:
         progress(done, total)
 
 
+def draws(console: Console) -> bool:
+    """Whether bars can move on a console; in a file or a pipe a bar is only clutter."""
+    return console.is_interactive or console.is_jupyter
+
+
 class Bars:
     """Draws while it is entered; a subclass adds tasks to `self._bars`.
+
+    Where no bar can move, a task that got somewhere is one plain line at the end.
 
     Args:
         console: console to draw on; the standard one if None.
     """
 
-    def __init__(
-        self, *columns: ProgressColumn, console: Console | None, disable: bool = False
-    ) -> None:
-        from rich import progress
+    def __init__(self, *columns: ProgressColumn, console: Console | None) -> None:
+        from rich import get_console, progress
 
-        self._bars = progress.Progress(*columns, console=console, disable=disable)
+        console = console or get_console()
+        self._bars = progress.Progress(*columns, console=console, disable=not draws(console))
 
     def __enter__(self) -> Self:
         """Start drawing."""
@@ -121,10 +127,17 @@ class Bars:
         return self
 
     def __exit__(self, *fault: object) -> None:
-        """Stop drawing; bars on which an error left nothing done disappear."""
-        if any(fault) and not any(task.completed for task in self._bars.tasks):
-            self._bars.live.transient = True
+        """Stop drawing; bars on which nothing was done disappear."""
+        begun = [task for task in self._bars.tasks if task.completed]
+        self._bars.live.transient = not begun
         self._bars.stop()
+        if self._bars.disable:
+            self._conclude(begun)
+
+    def _conclude(self, tasks: Sequence[Task]) -> None:
+        for task in tasks:
+            said = f"  {task.description} {task.completed:g}/{task.total or task.completed:g}"
+            self._bars.console.print(said, markup=False, highlight=False)
 
 
 class ProgressBar(Bars):

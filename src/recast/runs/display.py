@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from rich import get_console
 from rich.box import SIMPLE_HEAD
 from rich.console import Console, RenderableType
 from rich.markup import escape
@@ -26,7 +27,7 @@ from rich.text import Text
 from recast.actors import Actor
 from recast.actors.actor import CandidateRecord
 from recast.arrays import Image
-from recast.core.diagnostics import Bars, ProgressBar
+from recast.core.diagnostics import Bars, ProgressBar, draws
 from recast.core.errors import printable
 from recast.logs import DrivingLog
 from recast.metrics import COLUMNS, OracleViews
@@ -194,7 +195,14 @@ class TrainingDisplay(Progress):
     def __init__(self, console: Console | None = None) -> None:
         columns = BarColumn(), MofNCompleteColumn(), TimeRemainingColumn()
         self._figures = Text()
-        super().__init__("{task.description}", *columns, console=console, refresh_per_second=4)
+        console = console or get_console()
+        super().__init__(
+            "{task.description}",
+            *columns,
+            console=console,
+            refresh_per_second=4,
+            disable=not draws(console),
+        )
         self._task = self.add_task("scene", total=None)
 
     def __call__(self, status: TrainingStatus) -> None:
@@ -206,6 +214,14 @@ class TrainingDisplay(Progress):
             total=status.iterations,
             completed=status.iteration,
         )
+
+    def stop(self) -> None:
+        """Stop drawing; where no bar can move, the last figures are one line."""
+        super().stop()
+        task = self.tasks[0]
+        if self.disable and task.completed:
+            said = f"  {task.description} {task.completed:g}/{task.total:g}"
+            self.console.print(said + str(self._figures), markup=False, highlight=False)
 
     def get_renderables(self) -> Iterator[RenderableType]:
         """The bar, and the figures below it."""

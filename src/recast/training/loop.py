@@ -21,7 +21,7 @@ import numpy as np
 import torch
 from pydantic import TypeAdapter, ValidationError
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeRemainingColumn
+from rich.progress import BarColumn, MofNCompleteColumn, Task, TextColumn, TimeRemainingColumn
 from torch import Tensor, nn
 
 from recast.core.diagnostics import Bars
@@ -373,7 +373,6 @@ class TrainingBar(Bars):
             TimeRemainingColumn(),
             TextColumn("{task.fields[means]}"),
             console=console,
-            disable=not console.is_terminal,
         )
         self._task = self._bars.add_task(what, total=steps, means="")
 
@@ -391,12 +390,15 @@ class TrainingBar(Bars):
         """
         shown = "  ".join(f"{name} {values[name]:.4g}" for name in _SHOWN if name in values)
         self._bars.update(self._task, means=shown)
-        if not self.console.is_terminal:
+        if self._bars.disable:
             self.console.print(f"{self.what} {step}/{self.steps}  {shown}", markup=False)
         if self.writer is not None:
             for name, value in {**values, "rate": rate}.items():
                 if math.isfinite(value):
                     self.writer.add_scalar(f"{self.what}/{name}", value, step)
+
+    def _conclude(self, tasks: Sequence[Task]) -> None:
+        """Nothing more: the lines of the log were shown."""
 
     def __exit__(self, *error: object) -> None:
         """Stop drawing, and write the last curves."""
