@@ -31,19 +31,25 @@ SIZES := src/recast bridges/src/recast_bridges tools/src/recast_tools tests
 .PHONY: sizes help setup asam demo test test-whole test-all test-portable $(LEVELS:%=test-at-%) lint types contracts docs unit recipes fuzz bench wheel clean
 
 help:
-	@echo "make setup   install into $(VENV)"
-	@echo "make demo    a made-up drive, from log to report (about seven minutes)"
-	@echo "make test    lint, types, layer contracts and the tests of the parts"
-	@echo "make unit TESTS=tests/splats   the tests of one package, without the checks"
-	@echo "make test-whole   tests that run whole chains of commands, or kill them"
-	@echo "make test-portable   tests whose numbers may differ, as on lesser processors"
-	@echo "make test-all   all of them, which is what CI runs"
-	@echo "make recipes accept the code of all steps, after RECIPES were raised where it matters"
-	@echo "make fuzz    100,000 damaged files for every reader; goes on where it was stopped"
-	@echo "make bench   the benchmarks of rasterizer, ray tracer and image-to-3D model"
-	@echo "make wheel   wheels of recast-sim (for this machine) and recast-bridges, in dist/"
-	@echo "make sizes   lines, files and median of each package"
-	@echo "make clean   remove $(VENV) and build folders"
+	@echo "make setup          install into $(VENV)"
+	@echo "make demo           a made-up drive, from log to report (about seven minutes)"
+	@echo "make test           lint, types, contracts, docs and unit"
+	@echo "make lint           style and format of the code"
+	@echo "make types          types of the code"
+	@echo "make contracts      which package may import which"
+	@echo "make docs           pages of the documentation, into build/site"
+	@echo "make unit           tests of the parts; TESTS=tests/splats: those of one package"
+	@echo "make test-whole     tests that run whole chains of commands, or kill them"
+	@echo "make test-portable  tests whose numbers may differ, as on lesser processors"
+	@echo "make test-at-LEVEL  the same at one LEVEL: $(LEVELS)"
+	@echo "make test-all       all of them, which is what CI runs"
+	@echo "make recipes        accept the code of all steps, after RECIPES were raised"
+	@echo "make fuzz           100,000 damaged files for every reader; resumes"
+	@echo "make bench          benchmarks of rasterizer, ray tracer and image-to-3D model"
+	@echo "make wheel          wheels of recast-sim and recast-bridges, in dist/"
+	@echo "make asam           ASAM's checkers, which some tests need, into $(ASAM)"
+	@echo "make sizes          lines, files and median of each package"
+	@echo "make clean          remove $(VENV), $(ASAM) and build folders"
 
 setup: $(VENV)/.ready
 
@@ -51,17 +57,22 @@ setup: $(VENV)/.ready
 # uv does not read pip's settings, hence the link folder by name. Compiled once here, the packages
 # import in a third of the time wherever Python is told not to write bytecode.
 $(VENV)/.ready: pyproject.toml bridges/pyproject.toml tools/pyproject.toml constraints.txt $(NATIVE)
-	$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "recast needs Python 3.11 or newer")'
-	test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
-	if test -x $(BIN)/uv || $(BIN)/python -m pip install -q uv; then \
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "recast needs Python 3.11 or newer")'
+	@echo "setup 1/3: environment $(VENV)"
+	@test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
+	@echo "setup 2/3: uv, which installs packages"
+	@if test -x $(BIN)/uv || $(BIN)/python -m pip install -q uv; then \
+	  echo "setup 3/3: packages (about 3 GB on disk) and the CPU kernel; takes minutes"; \
 	  UV_FIND_LINKS="$${UV_FIND_LINKS:-$${PIP_FIND_LINKS:-}}" $(BIN)/uv pip install -q \
 	    --compile-bytecode --python $(BIN)/python -c constraints.txt \
 	    --reinstall-package recast-sim --reinstall-package recast-bridges --reinstall-package recast-tools \
 	    -e '.[dev]' -e 'bridges[alpasim]' -e tools; \
 	else \
+	  echo "setup 3/3: packages (about 3 GB on disk) and the CPU kernel, with pip; takes minutes"; \
 	  $(BIN)/python -m pip install -q -c constraints.txt -e '.[dev]' -e 'bridges[alpasim]' -e tools; \
 	fi
-	touch $@
+	@touch $@
+	@echo "setup: done; next: make demo, or $(BIN)/recast"
 
 # ASAM's checkers want an older numpy, so they have an environment of their own. Where it cannot be
 # made, the tests that need it are skipped.

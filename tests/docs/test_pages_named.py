@@ -44,3 +44,11 @@ def test_anchors_are_those_of_the_headings() -> None:
         assert page_sections(path.read_text()).keys() == headings(path), path
     found = page_sections((REPOSITORY / "docs" / "runs.md").read_text())
     assert {"the-store", "a-configuration-file"} <= found.keys() and "version" not in found
+
+
+def test_make_help_lists_every_target() -> None:
+    text = (REPOSITORY / "Makefile").read_text()
+    phony = re.findall(r"^\.PHONY: (.*)$", text, re.M)[0].replace("$(LEVELS:%=test-at-%)", "")
+    listed = re.findall(r'^\t@echo "make (\S+) +(.*)"$', text, re.M)
+    assert {name for name, _ in listed} == {*phony.split(), "test-at-LEVEL"} - {"help"}
+    assert all(len(f"make {name:<14} {what}") <= 80 for name, what in listed)

@@ -5,6 +5,8 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
+import tomllib
+from pathlib import Path
 
 import pytest
 
@@ -52,9 +54,19 @@ def test_the_names_of_built_in_parts_are_those_that_the_rest_uses() -> None:
 
 
 def test_a_missing_package_says_how_to_get_it(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(machine, "_OPTIONAL", {"no-such-package": ("a purpose", "pip install it")})
-    [found] = [finding for finding in machine.examine() if finding.part == "no-such-package"]
-    assert (found.present, found.mend) == (False, "pip install it")
+    monkeypatch.setattr(machine, "_EXTRAS", {"rare": (("numpy", "no-such-package"), "a purpose")})
+    [found] = [finding for finding in machine.examine() if finding.part == "extra rare"]
+    assert (found.present, found.detail) == (False, "a purpose")
+    assert found.mend == "pip install 'recast-sim[rare]'"
+
+
+def test_every_extra_is_listed() -> None:
+    text = (Path(__file__).parents[2] / "pyproject.toml").read_text()
+    extras = tomllib.loads(text)["project"]["optional-dependencies"]
+    assert machine._EXTRAS.keys() == extras.keys()
+    for extra, (packages, purpose) in machine._EXTRAS.items():
+        needed = " ".join(extras[extra])
+        assert purpose and all(name in needed or f"[{extra}]" in needed for name in packages)
 
 
 def test_cores_where_no_system_call_tells_the_share(monkeypatch: pytest.MonkeyPatch) -> None:

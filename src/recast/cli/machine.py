@@ -16,7 +16,7 @@ _NAME = tyro.conf.arg(metavar="NAME")
 
 @dataclass(frozen=True)
 class Doctor:
-    """Print versions, the CPU kernel, CUDA and optional parts, and how to install missing ones."""
+    """Print versions, the CPU kernel, CUDA and all extras, and how to install missing ones."""
 
     json: Annotated[bool, JSON] = False
 

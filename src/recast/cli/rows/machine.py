@@ -35,24 +35,29 @@ from recast.cli.shared import Rows
 from recast.core import Artefact, Store, files
 from recast.core.artefact import references
 from recast.core.errors import InputError, printable
-from recast.core.plugins import GENERATORS, IMPORTERS, INSTALLED_BY, PLANNERS, SEGMENTERS
+from recast.core.plugins import GENERATORS, IMPORTERS, PLANNERS, SEGMENTERS
 from recast.core.workers import usable_cores
 from recast.weights import PUBLISHED, Weights, published, weights_folder
 from recast.weights.fetch import fetch, is_whole
 from recast.weights.table import is_fetched, read_weights_record, verify
 
-_OPTIONAL = {
-    "recast-bridges": (
-        "other programs' simulators, scores, trained streets and files",
-        INSTALLED_BY["recast-bridges"],
-    ),
-    "embreex": ("synthetic worlds, the demo", "pip install 'recast-sim[synthetic]'"),
-    "mitsuba": ("better light in synthetic worlds", "pip install 'recast-sim[mitsuba]'"),
-    "optuna": ("searches over scenarios", "pip install 'recast-sim[search]'"),
-    "gsplat": ("rasterize on CUDA", "pip install 'recast-sim[cuda]'"),
-    "ray": ("batches on several machines", "pip install 'recast-sim[distributed]'"),
-    "accelerate": ("training on several GPUs", "pip install 'recast-sim[distributed]'"),
+_EXTRAS = {
+    "synthetic": (("embreex", "trimesh"), "synthetic worlds, recast demo"),
+    "search": (("optuna", "scikit-learn"), "recast search"),
+    "viewer": (("viser",), "recast view"),
+    "env": (("gymnasium",), "reinforcement learning, recast.envs"),
+    "bridges": (("recast-bridges",), "other programs' simulators, scores, scenes and files"),
+    "alpasim": (("recast-bridges", "grpcio"), "drivers and services of AlpaSim"),
+    "py123d": (("recast-bridges", "py123d"), "logs that py123d converted"),
+    "s3": (("s3fs",), "logs and stores in object storage"),
+    "distributed": (("ray", "accelerate"), "batches on several machines, training on several GPUs"),
+    "cuda": (("gsplat",), "training and rendering scenes on a GPU"),
+    "mitsuba": (("mitsuba",), "path-traced light in synthetic worlds"),
+    "tensorboard": (("tensorboard",), "training curves"),
+    "docs": (("mkdocs-material", "mkdocstrings"), "building these pages"),
+    "dev": (("pytest", "ruff", "mypy"), "working on recast, make test"),
 }
+"""Extras of recast-sim: packages that tell whether one is installed, and what it is for."""
 _SEAMS = (IMPORTERS, PLANNERS, GENERATORS, SEGMENTERS)
 _DRIVERS = ("libcuda.so.1", "nvcuda.dll")
 
@@ -75,7 +80,7 @@ class MachineFinding:
 
 def examine() -> list[MachineFinding]:
     """Look at everything recast can use."""
-    return [*_platform(), _pages(), _kernel(), *_cuda(), *_optional(), *_seams(), _weights()]
+    return [*_platform(), _pages(), _kernel(), *_cuda(), *_extras(), *_seams(), _weights()]
 
 
 def findings_table(findings: list[MachineFinding]) -> Table:
@@ -150,13 +155,16 @@ def _loads(library: str) -> bool:
     return True
 
 
-def _optional() -> list[MachineFinding]:
+def _extras() -> list[MachineFinding]:
     findings = []
-    for package, (purpose, mend) in _OPTIONAL.items():
+    for extra, (packages, purpose) in _EXTRAS.items():
         try:
-            findings.append(MachineFinding(package, True, f"{version(package)} ({purpose})"))
+            found = ", ".join(f"{name} {version(name)}" for name in packages)
         except PackageNotFoundError:
-            findings.append(MachineFinding(package, False, purpose, mend))
+            mend = f"pip install 'recast-sim[{extra}]'"
+            findings.append(MachineFinding(f"extra {extra}", False, purpose, mend))
+        else:
+            findings.append(MachineFinding(f"extra {extra}", True, f"{purpose} ({found})"))
     return findings
 
 
