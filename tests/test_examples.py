@@ -10,6 +10,7 @@ from pathlib import Path
 
 import pytest
 
+from recast.cli.main import main
 from recast.planning import make_planner
 
 EXAMPLES = Path(__file__).resolve().parents[1] / "examples"
@@ -113,6 +114,28 @@ def test_the_page_shows_them_as_they_are() -> None:
 def test_a_planner_drives_without_a_scene(name: str, word: str, said, folder: Path) -> None:
     out = said(name, folder / "log", "advancing-a")
     assert word in out and int(out.split()[0]) >= 10
+
+
+def test_an_importer_of_ones_own(said, tmp_path: Path) -> None:
+    out = said("your_importer.py", tmp_path / "drives", tmp_path / "log")
+    assert out.splitlines() == [
+        "DrivingLog(name=morning, seconds=4.0, cameras=1, lidars=0, tracks=1, map=no)",
+        "track 7: car, 41 boxes",
+    ]
+
+
+def test_the_importer_is_named_on_the_command_line(
+    said, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    said("your_importer.py", tmp_path, tmp_path / "log")
+    monkeypatch.syspath_prepend(EXAMPLES.parent)
+    words = ["log", "import", "examples.your_importer:load_csv", str(tmp_path), "--drive"]
+    assert main([*words, "morning", "--out", str(tmp_path / "again")]) == 0
+    assert (tmp_path / "again" / "log.json").is_file()
+    (tmp_path / "morning" / "ego.csv").write_text("time_us,x,y\n0,1,2")
+    assert main([*words, "morning", "--out", str(tmp_path / "never")]) == 2
+    [line] = capsys.readouterr().err.splitlines()
+    assert "ego.csv: table: cannot be read" in line and "heading" in line
 
 
 def test_the_agent_can_be_named(monkeypatch: pytest.MonkeyPatch) -> None:
