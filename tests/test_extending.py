@@ -17,7 +17,7 @@ from recast.actors import Asset, Observation
 from recast.actors.generate import VEHICLE
 from recast.cameras import CameraMount
 from recast.geometry import se3
-from recast.logs import DrivingLog
+from recast.logs import DrivingLog, HdMap
 from recast.metrics import Metric
 from recast.planning import Plan, PlannerInput, PlanningContext
 from recast.simulation import Rollout, SimState, StartSituation, camera_mounts
@@ -54,10 +54,15 @@ class Coasting:
 
 
 # --8<-- [start:metric]
-def hardest_braking(rollout: Rollout) -> Metric:
+class HardestBraking:
     """A metric: value and reason, from the states of a rollout."""
-    least = float(rollout.ego[:, 5].min())
-    return Metric(least, None if least > -4.05 else f"brakes with {-least:.1f} m/s^2")
+
+    name = "hardest_braking_mps2"
+
+    def score(self, rollout: Rollout, hd_map: HdMap | None) -> Metric:
+        """Least acceleration along the heading, m/s^2."""
+        least = float(rollout.ego[:, 5].min())
+        return Metric(least, None if least > -4.05 else f"brakes with {-least:.1f} m/s^2")
 
 
 # --8<-- [end:metric]
@@ -148,7 +153,8 @@ def test_planner_motion_renderer_and_metric(log: DrivingLog) -> None:
     while not sim.done:
         observation = sim.step(planner.plan(observation))
     assert np.ptp(sim.rollout.actor[:, :2], axis=0).max() == 0
-    assert hardest_braking(sim.rollout).valid
+    scored = recast.score(sim.rollout, metrics=[HardestBraking()])
+    assert scored.values["hardest_braking_mps2"].valid
 
 
 def test_generator_and_arm(tiny_log_folder: Path, tmp_path: Path) -> None:

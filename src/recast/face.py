@@ -24,7 +24,7 @@ from recast.core.arguments import Readers, checked
 from recast.core.errors import InputError
 from recast.core.plugins import SCENES
 from recast.logs import DrivingLog, HdMap, load_log, map_of, write_log
-from recast.metrics import RolloutMetrics, rollout_metrics
+from recast.metrics import RolloutMetric, RolloutMetrics, own_metrics, rollout_metrics
 from recast.metrics.table import SAMPLES
 from recast.reconstruction import (
     Preset,
@@ -188,15 +188,20 @@ def evaluate(scene: StreetScene, log: DrivingLog, out: str | Path | None = None)
 
 
 @checked(_READERS)
-def score(rollout: Rollout, map: HdMap | DrivingLog | None = None) -> RolloutMetrics:
+def score(
+    rollout: Rollout,
+    map: HdMap | DrivingLog | None = None,
+    metrics: Sequence[str | RolloutMetric] = (),
+) -> RolloutMetrics:
     """Score a rollout: NC, DAC, TTC, R_c, COM and their variants, each with its reason.
 
     Args:
         map: lanes and drivable area, or the log that has them; None for those of the log that the
             rollout was run on in this process.
+        metrics: own metrics beside these, as objects or names; see `recast.metrics.BaseMetric`.
 
     Raises:
-        InputError: the rollout was read from disk, and no map is given.
+        InputError: the rollout was read from disk, and no map is given; or an own metric fails.
 
     >>> score(rollout).values["nc"].value
     1.0
@@ -213,17 +218,20 @@ def score(rollout: Rollout, map: HdMap | DrivingLog | None = None) -> RolloutMet
             "is not stored in a rollout",
             "give the log of the rollout, or its map",
         )
-    return rollout_metrics(rollout, map)
+    return rollout_metrics(rollout, map, own_metrics(metrics))
 
 
 @checked(_READERS)
-def write_report(result: Rollout | str | Path, out: str | Path) -> Path:
+def write_report(
+    result: Rollout | str | Path, out: str | Path, metrics: Sequence[str | RolloutMetric] = ()
+) -> Path:
     """Write a rollout, or the folder of a run, as a page with pictures, plots and films.
 
     Args:
         result: a rollout that was run in this process, whose films are drawn now; or the folder of
             `recast run`.
         out: folder of the page; an earlier report there is replaced.
+        metrics: own metrics of a rollout, see `score`; a run folder names its own.
 
     Returns:
         its `index.html`.
@@ -235,7 +243,7 @@ def write_report(result: Rollout | str | Path, out: str | Path) -> Path:
     'index.html'
     """
     if isinstance(result, Rollout):
-        return report_rollout(result, score(result), Path(out))
+        return report_rollout(result, score(result, metrics=metrics), Path(out))
     return report_run(result, out)
 
 

@@ -27,6 +27,15 @@ def quiet_again() -> Iterator[None]:
     diagnostics.begin(Diagnostics())
 
 
+def test_a_reader_that_has_enough_is_no_fault() -> None:
+    reading, writing = os.pipe()
+    os.close(reading)
+    command = [sys.executable, "-m", "recast", "scenario", "list"]  # rich exits by itself
+    done = subprocess.run(command, stdout=writing, stderr=subprocess.PIPE, text=True)
+    os.close(writing)
+    assert (done.returncode, done.stderr) == (0, "")
+
+
 def test_the_package_is_the_command() -> None:
     command = [sys.executable, "-m", "recast"]
     done = subprocess.run([*command, "--version"], capture_output=True, text=True)

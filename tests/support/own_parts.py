@@ -1,4 +1,4 @@
-"""Parts of a user's own, named module:attribute: a generator, a restorer, planners that fail.
+"""Parts of a user's own, named module:attribute: planners that fail, and one part of other kinds.
 
 They lie in a module of their own: what a user's module imports from beside it is read by every
 command that names the part.
@@ -17,8 +17,11 @@ import torch
 from recast.actors.generate import VEHICLE, Asset
 from recast.actors.observation import Observation
 from recast.arrays import Image
+from recast.logs import HdMap
+from recast.metrics import Metric
 from recast.planning import Plan, PlannerInput, PlanningContext
 from recast.planning.simple import IdmLaneFollower
+from recast.simulation import Rollout
 from recast.splats import Gaussians
 
 
@@ -54,6 +57,16 @@ class Negative:
 
     def restore(self, images: Mapping[str, Image]) -> dict[str, Image]:
         return {name: np.uint8(255) - image for name, image in images.items()}
+
+
+class LeastGap:
+    """A metric: metres between the centres of ego and target, at least."""
+
+    name = "least_gap_m"
+
+    def score(self, rollout: Rollout, hd_map: HdMap | None) -> Metric:
+        gaps = np.linalg.norm(rollout.ego[:, :2] - rollout.actor[:, :2], axis=1)
+        return Metric(gaps.min(), f"at step {gaps.argmin()}")
 
 
 class Faulty(IdmLaneFollower):

@@ -114,6 +114,7 @@ class ClosedLoop(_Grid):
     planner_device: Annotated[str | None, shared.PLANNER_DEVICE] = None
     motion: Annotated[Lists, _motions("cut-in, oncoming and stationary")] = ()
     restorer: Annotated[str | None, shared.RESTORER] = None
+    metric: Annotated[shared.Names, shared.METRIC] = ()
     films: bool = False
     """Render every step of all cameras and write videos, not only what the planner sees."""
     plan_timeout: Annotated[
@@ -179,6 +180,7 @@ class Search(_Grid):
     planner: Annotated[shared.Names, shared.PLANNER] = ()
     planner_device: Annotated[str | None, shared.PLANNER_DEVICE] = None
     restorer: Annotated[str | None, shared.RESTORER] = None
+    metric: Annotated[shared.Names, shared.METRIC] = ()
     plan_timeout: Annotated[
         float | None,
         shared.option("Time limit of one plan in seconds; a slower plan fails its rollout."),

@@ -145,6 +145,8 @@ def _system_errors() -> Iterator[None]:
         with files.disk_errors("disk"):
             yield
     except (SystemExit, GeneratorExit) as error:
+        if isinstance(error.__context__, BrokenPipeError):  # rich exits when nobody reads on
+            raise error.__context__ from None
         problem = f"code of a plug-in ended the program ({type(error).__name__}: {error})"
         mend = "raise an exception that says what is wrong; run it with --verbose to see its place"
         raise InputError("command", "exit", problem, mend) from error

@@ -32,6 +32,7 @@ class Run:
     planner: Annotated[shared.Names, shared.PLANNER] = ()
     planner_device: Annotated[str | None, shared.PLANNER_DEVICE] = None
     restorer: Annotated[str | None, shared.RESTORER] = None
+    metric: Annotated[shared.Names, shared.METRIC] = ()
     generator: Annotated[str | None, shared.GENERATOR] = None
     axes: Annotated[str | None, shared.AXES] = None
     refine: shared.Refine = None

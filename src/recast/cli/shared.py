@@ -153,6 +153,11 @@ RESTORER = option(
     "installed restorer, or package.module:attribute. Images of the truth are never restored.",
     metavar="NAME",
 )
+METRIC = option(
+    "Metric of your own beside recast's: package.module:attribute, or the name of an installed "
+    "one. May be repeated.",
+    metavar="NAME",
+)
 STEPS = option("Steps of 0.1 s for each rollout; fewer if the log or the road ends.", "160")
 
 # What the actor is made from.
@@ -269,6 +274,7 @@ _RUN_OPTIONS = {
     "plan_limit_s": "plan_timeout",
     "films": "films",
     "restorer": "restorer",
+    "metrics": "metric",
     "generator": "generator",
     "axes": "axes",
     "refine": "refine",
@@ -286,7 +292,7 @@ def run_options(command: object) -> dict[str, Any]:
     found: dict[str, Any] = {
         member: getattr(command, name, None) for member, name in _RUN_OPTIONS.items()
     }
-    for several in ("arms", "planners"):
+    for several in ("arms", "planners", "metrics"):
         found[several] = found[several] or None
     if found["scene_folder"] is not None:
         found["scene_folder"] = str(found["scene_folder"].absolute())

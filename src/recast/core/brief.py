@@ -8,7 +8,7 @@ from html import escape
 
 from recast.core.errors import printable
 
-REPR_LIMIT = 160
+REPR_LIMIT = 190
 """Characters of a `repr`, at most: it fits into a line of a log or a debugger."""
 
 

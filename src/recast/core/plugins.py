@@ -380,6 +380,14 @@ RESTORERS = Registry(
 )
 """Each is a class or function that makes a `recast.simulation.renderer.Restorer`."""
 
+METRICS = Registry(
+    "metric",
+    "recast.metrics",
+    members=("name", "score"),
+    protocol="recast.metrics.RolloutMetric",
+)
+"""Each is a class or function that makes a `recast.metrics.RolloutMetric`."""
+
 GENERATORS = Registry(
     "generator",
     "recast.generators",

@@ -8,7 +8,13 @@ from recast.metrics.oracle_scores import (
     read_oracle_views,
 )
 from recast.metrics.oracle_views import TrueWorld, ViewSettings, evaluate_oracle_views, logged_views
-from recast.metrics.rollout_metrics import RolloutMetrics, rollout_metrics
+from recast.metrics.rollout_metrics import (
+    BaseMetric,
+    RolloutMetric,
+    RolloutMetrics,
+    own_metrics,
+    rollout_metrics,
+)
 from recast.metrics.table import (
     COLUMNS,
     Bootstrap,
@@ -18,7 +24,10 @@ from recast.metrics.table import (
     Pairs,
     TableRow,
     cluster_bootstrap,
+    column_of,
+    columns_of,
     exact_bootstrap,
+    headlines,
     matched_pairs,
     table,
 )
@@ -27,6 +36,7 @@ __all__ = [
     "COLUMNS",
     "Agreement",
     "AngleBin",
+    "BaseMetric",
     "Bootstrap",
     "Column",
     "Metric",
@@ -34,15 +44,20 @@ __all__ = [
     "OracleViews",
     "PairedMetric",
     "Pairs",
+    "RolloutMetric",
     "RolloutMetrics",
     "TableRow",
     "TrueWorld",
     "ViewSettings",
     "cluster_bootstrap",
+    "column_of",
+    "columns_of",
     "evaluate_oracle_views",
     "exact_bootstrap",
+    "headlines",
     "logged_views",
     "matched_pairs",
+    "own_metrics",
     "read_oracle_views",
     "rollout_metrics",
     "table",

@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
-from typing import Any, NamedTuple
+import re
+from abc import abstractmethod
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from recast.core.brief import Brief
+from recast.core.errors import InputError, printable
+from recast.core.foreign import BasePart, foreign_call, read_only, whole
+from recast.core.plugins import METRICS
 from recast.dynamics import state as ego
 from recast.geometry.boxes import TOUCHING
 from recast.logs.hdmap import HdMap, drivable_region
@@ -36,7 +41,7 @@ from recast.metrics.driving import (
     route_completion,
     time_to_collision,
 )
-from recast.metrics.table import COLUMNS, Metric
+from recast.metrics.table import COLUMNS, Metric, column_of
 from recast.simulation.rollout import Rollout
 
 Array = NDArray[Any]
@@ -45,6 +50,74 @@ _OF_ROLLOUT = (
     *("name", "arm", "track_id", "motion", "setting", "planner", "start_timestamp_us"),
     *("steps_requested", "steps_run", "cut_reason"),
 )
+
+
+class RolloutMetric(Protocol):
+    """A metric of your own. These members are enough.
+
+    Attributes:
+        name: key in files, heading in tables, and measure of a search's objective: lower-case
+            letters, digits and underscores. It best ends in the unit: "gap_m".
+    """
+
+    name: str
+
+    def score(self, rollout: Rollout, hd_map: HdMap | None) -> Metric | float | None:
+        """The metric of one rollout; None if it has no value.
+
+        Args:
+            rollout: read-only, without `origin`; of any length from one step.
+            hd_map: read-only; None if the log has no map.
+        """
+
+
+class BaseMetric(BasePart):
+    """A `RolloutMetric` with all members that are asked for: derive yours from it."""
+
+    name: str
+
+    @abstractmethod
+    def score(self, rollout: Rollout, hd_map: HdMap | None) -> Metric | float | None:
+        """The metric of one rollout, see `RolloutMetric`."""
+
+
+def own_metrics(metrics: Iterable[str | RolloutMetric]) -> tuple[BaseMetric, ...]:
+    """Own metrics from names of installed ones, "package.module:attribute", or objects.
+
+    Raises:
+        InputError: there is no such metric, or its name is not a word or is taken.
+    """
+    found: dict[str, BaseMetric] = {}
+    for one in metrics:
+        metric = whole(METRICS.resolve(one), BaseMetric)
+        name = metric.name
+        if not isinstance(name, str) or not re.fullmatch(r"[a-z][a-z0-9_]{0,39}", name):
+            mend = "use lower-case letters, digits and underscores, at most 40, such as gap_m"
+            raise InputError("metric", "name", f"is {name!r}", mend)
+        if name in COLUMNS or name in found:
+            raise InputError("metric", name, "is the name of another metric", "choose another")
+        found[name] = metric
+    return tuple(found.values())
+
+
+def _own_scores(
+    rollout: Rollout, hd_map: HdMap | None, metrics: Sequence[BaseMetric]
+) -> dict[str, Metric]:
+    shown = read_only((replace(rollout, origin=None), hd_map)) if metrics else ()
+    found = {}
+    for metric in metrics:
+        who, what = f"metric {metric.name}", f"rollout {rollout.name}"
+        with foreign_call(who, what, getattr(metric, "part", metric)):
+            given = metric.score(*shown)
+        scored = given if isinstance(given, Metric) else Metric(given)
+        value, reason = scored.value, scored.reason
+        is_number = isinstance(value, int | float | np.number) and not isinstance(value, bool)
+        if not (value is None or (is_number and np.isfinite(value))):
+            mend = "return a finite number, None, or Metric(value, reason)"
+            raise InputError(who, what, f"returns {str(value)[:80]}", mend)
+        text = None if reason is None else printable(str(reason))
+        found[metric.name] = Metric(None if value is None else float(value), text)
+    return found
 
 
 @dataclass(frozen=True, repr=False)
@@ -66,6 +139,7 @@ class RolloutMetrics(Brief):
             headline.
         driven: nuPlan's comfort of what was driven.
         rollout, hd_map: what was scored.
+        own: values of own metrics by name; `own_from` are the metrics.
     """
 
     name: str
@@ -94,6 +168,8 @@ class RolloutMetrics(Brief):
     driven: Comfort
     rollout: Rollout
     hd_map: HdMap | None
+    own: Mapping[str, Metric] = field(default_factory=dict)
+    own_from: tuple[BaseMetric, ...] = ()
 
     def __str__(self) -> str:
         """The headline metrics, a line each, with their reasons."""
@@ -101,13 +177,13 @@ class RolloutMetrics(Brief):
         if self.cut_reason is not None:
             lines[0] += f" ({self.cut_reason})"
         for name, metric in self._headline():
-            column = COLUMNS[name]
+            column = column_of(name)
             line = f"  {column.label:<11}{column.shown(metric):>7} {column.unit:<2}"
             lines.append(line if metric.reason is None else f"{line} {metric.reason}")
         return "\n".join(lines)
 
     def _headline(self) -> list[tuple[str, Metric]]:
-        return [(name, metric) for name, metric in self.values.items() if COLUMNS[name].headline]
+        return [(name, one) for name, one in self.values.items() if column_of(name).headline]
 
     def _facts(self) -> Mapping[str, object]:
         return {
@@ -115,8 +191,9 @@ class RolloutMetrics(Brief):
             "planner": self.planner,
             "steps": f"{self.steps_run} of {self.steps_requested}",
             **{
-                COLUMNS[name].label: f"{COLUMNS[name].shown(metric)} {COLUMNS[name].unit}"
+                column.label: f"{column.shown(metric)} {column.unit}".rstrip()
                 for name, metric in self._headline()
+                for column in (column_of(name),)
             },
         }
 
@@ -142,11 +219,11 @@ class RolloutMetrics(Brief):
         """The metrics that the rollout would have, had it ended after `steps` of its steps."""
         if steps == self.steps_run:
             return self
-        return rollout_metrics(self.rollout.first(steps), self.hd_map)
+        return rollout_metrics(self.rollout.first(steps), self.hd_map, self.own_from)
 
     @property
     def values(self) -> dict[str, Metric]:
-        """Every metric by name; the names are the keys of `recast.metrics.table.COLUMNS`."""
+        """Every metric by name: the keys of `recast.metrics.table.COLUMNS`, then own ones."""
         return {
             "nc": self.collision.nc,
             "nc_at_fault": self.nc_at_fault,
@@ -160,6 +237,7 @@ class RolloutMetrics(Brief):
             "r_c_projection": self.progress.r_c_projection,
             "com_4_13": self.comfort_4_13.com,
             "com_nuplan_savgol": self.comfort_nuplan_savgol.com,
+            **self.own,
         }
 
     def to_json(self) -> dict[str, Any]:
@@ -197,7 +275,9 @@ class RolloutMetrics(Brief):
         }
 
 
-def rollout_metrics(rollout: Rollout, hd_map: HdMap | None) -> RolloutMetrics:
+def rollout_metrics(
+    rollout: Rollout, hd_map: HdMap | None, own: Sequence[BaseMetric] = ()
+) -> RolloutMetrics:
     """Compute NC, DAC, TTC, R_c and COM of a rollout of any length.
 
     The definitions are those of the paper as this project reads them: see `docs/metrics.md`.
@@ -205,6 +285,10 @@ def rollout_metrics(rollout: Rollout, hd_map: HdMap | None) -> RolloutMetrics:
     Args:
         rollout: validated rollout.
         hd_map: map of the rollout's log; without one DAC has no value.
+        own: own metrics, see `own_metrics`.
+
+    Raises:
+        InputError: an own metric fails, or returns something else than a finite number.
     """
     ego_boxes, dt = rollout.ego_boxes, rollout.dt
     steps = np.asarray(rollout.plan_steps, np.int64)
@@ -253,6 +337,8 @@ def rollout_metrics(rollout: Rollout, hd_map: HdMap | None) -> RolloutMetrics:
         driven=com_driven(rollout.ego, dt),
         rollout=rollout,
         hd_map=hd_map,
+        own=_own_scores(rollout, hd_map, own),
+        own_from=tuple(own),
     )
 
 

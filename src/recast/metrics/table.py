@@ -6,7 +6,7 @@ whole scenes."""
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from functools import lru_cache
 from itertools import combinations_with_replacement
@@ -106,6 +106,28 @@ COLUMNS: Mapping[str, Column] = {
 """Metrics in the order of the table. Higher is better for all."""
 
 
+def column_of(name: str) -> Column:
+    """How a metric is shown; a user's own metric as it is, under its name."""
+    return COLUMNS.get(name) or Column(name.replace("_", " "), "", 1.0, True)
+
+
+def columns_of(scored: Iterable[Scored]) -> dict[str, Column]:
+    """`COLUMNS`, and one for each own metric of these rollouts."""
+    own = dict.fromkeys(name for one in scored for name in one.values if name not in COLUMNS)
+    return {**COLUMNS, **{name: column_of(name) for name in own}}
+
+
+def headlines(names: Iterable[str]) -> list[dict[str, Column]]:
+    """Columns of the short tables, by name: recast's, and then own metrics if there are any.
+
+    Both in one table would be wider than a terminal.
+    """
+    columns = {name: column_of(name) for name in names}
+    ours = {name: one for name, one in columns.items() if name in COLUMNS and one.headline}
+    own = {name: one for name, one in columns.items() if name not in COLUMNS}
+    return [ours, own] if own else [ours]
+
+
 class Attempt(Protocol):
     """A rollout, failed or not: `RolloutFailure`, and whatever is `Scored`."""
 
@@ -147,7 +169,7 @@ class Scored(Attempt, Protocol):
 
     @property
     def values(self) -> Mapping[str, Metric]:
-        """Metrics, keys of `COLUMNS`."""
+        """Metrics, keys of `COLUMNS` and names of own metrics."""
 
     def over(self, steps: int) -> Self:
         """The same rollout, ended after `steps` of its steps."""
@@ -205,8 +227,9 @@ def _row(
     mine = [m for m in metrics if (m.planner, m.arm) == (planner, arm)]
     means: dict[str, float | None] = {}
     counts: dict[str, int] = {}
-    for name, column in COLUMNS.items():
-        values = [v for m in mine if (v := m.values[name].value) is not None]
+    for name, column in columns_of(metrics).items():
+        found = (m.values.get(name) for m in mine)
+        values = [one.value for one in found if one is not None and one.value is not None]
         counts[name] = len(values)
         means[name] = column.scale * float(np.mean(values)) if values else None
     return TableRow(
@@ -279,7 +302,7 @@ class Pairs:
     asked: int
 
     def of(self, metric: str) -> PairedMetric:
-        """One metric, a key of `recast.metrics.table.COLUMNS`."""
+        """One metric, a key of `recast.metrics.table.COLUMNS` or an own one of all rollouts."""
         differences: dict[str, Array] = {}
         used: list[Pair] = []
         for scene, pairs in self.by_scene.items():

@@ -236,7 +236,7 @@ def render_template(name: str, **values: object) -> str:
         markup=Markup,
         inline=inline,
         generator=f"{_GENERATOR} {__version__}",
-        headings=tables.headings(),
+        headings=values.get("headings") or tables.headings(),
     )
     return environment.get_template(name).render(values)
 

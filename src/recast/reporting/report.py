@@ -235,6 +235,7 @@ def _render(run: ReportInputs, assets: PageAssets) -> str:
         checks=checks(run),
         outcomes=summary.outcomes(run),
         aggregate=aggregate,
+        headings=tables.headings(() if isinstance(run.scenarios, NotMade) else run.scenarios),
         actor=_actor(run.actor, assets),
         coverage=()
         if isinstance(run.scenarios, NotMade)

@@ -6,7 +6,16 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Literal
 
-from recast.metrics import COLUMNS, Metric, RolloutMetrics, TableRow, matched_pairs, table
+from recast.metrics import (
+    COLUMNS,
+    Metric,
+    RolloutMetrics,
+    TableRow,
+    column_of,
+    columns_of,
+    matched_pairs,
+    table,
+)
 from recast.metrics.plan_agreement import PlanAgreement
 from recast.reporting.inputs import Fact, ImageScore, NotMade, ScenarioPart
 from recast.simulation.rollout import RolloutFailure
@@ -73,11 +82,21 @@ class Line:
     sub: str | None = None
 
 
-def headings() -> tuple[Heading, ...]:
-    """Columns in the order of `recast.metrics.COLUMNS`."""
+def headings(scenarios: Sequence[ScenarioPart] = ()) -> tuple[Heading, ...]:
+    """Columns in the order of `recast.metrics.COLUMNS`, then own metrics of these rollouts."""
     return tuple(
-        Heading(column.label, DEFINITIONS[key], column.headline) for key, column in COLUMNS.items()
+        Heading(column.label, DEFINITIONS.get(key, "A metric of this run's own."), column.headline)
+        for key, column in columns_of(_scored(scenarios)).items()
     )
+
+
+def _scored(scenarios: Sequence[ScenarioPart]) -> list[RolloutMetrics]:
+    return [
+        part.metrics
+        for scenario in scenarios
+        for part in scenario.rollouts
+        if not isinstance(part.metrics, NotMade)
+    ]
 
 
 def rollout_line(label: str, arm: int | None, metrics: RolloutMetrics) -> Line:
@@ -106,12 +125,7 @@ def aggregate_lines(
     Each arm minus the first; and, where one of them is the truth, each minus the truth: the gap
     to it, marked where it is the smallest. Pairs are compared over the steps that both have.
     """
-    scored = [
-        part.metrics
-        for scenario in scenarios
-        for part in scenario.rollouts
-        if not isinstance(part.metrics, NotMade)
-    ]
+    scored = _scored(scenarios)
     failures = [
         part.rollout
         for scenario in scenarios
@@ -133,7 +147,7 @@ def aggregate_lines(
 def _nearest_marked(gaps: Sequence[Line]) -> list[Line]:
     """Lines of gaps to the truth, the smallest of each column in the tone "good"."""
     marked = [list(line.cells) for line in gaps]
-    for column in range(len(COLUMNS) if len(gaps) > 1 else 0):
+    for column in range(len(gaps[0].cells) if len(gaps) > 1 else 0):
         sizes = [line.cells[column].size for line in gaps]
         known = [size for size in sizes if size is not None]
         if len(known) == len(gaps) and min(known) < max(known):
@@ -149,22 +163,22 @@ def _rollout_cell(key: str, metric: Metric) -> TableCell:
     if metric.value is None:
         return TableCell("-", "plain", metric.reason)
     tone: Tone = "plain"
-    if COLUMNS[key].passes:
+    if column_of(key).passes:
         passed = metric.value == 1.0
         return TableCell("pass" if passed else "fail", "good" if passed else "bad", metric.reason)
     if key.startswith("ttc"):
         tone = "bad" if metric.value == 0.0 else "warn" if metric.value < _SHORT_TTC else "plain"
-    return TableCell(_number(key, COLUMNS[key].scale * metric.value), tone, metric.reason)
+    return TableCell(_number(key, column_of(key).scale * metric.value), tone, metric.reason)
 
 
 def aggregate_line(row: TableRow, arms: Mapping[str, str], order: Mapping[str, int]) -> Line:
     """Means of one planner and arm; `arms` names arms for people, `order` indexes their colours."""
     cells = []
-    for key in COLUMNS:
-        mean, count = row.means[key], row.counts[key]
+    for key, mean in row.means.items():
+        count = row.counts[key]
         if mean is None:
             cells.append(TableCell("-"))
-        elif COLUMNS[key].passes:
+        elif column_of(key).passes:
             cells.append(
                 TableCell(f"{round(mean * count / 100)} of {count}", "plain", f"{mean:.0f} %")
             )
@@ -191,14 +205,14 @@ def difference_line(
     if not pairs.by_scene:
         return None
     most, cells = len(pairs.by_scene[""]), []
-    for key, column in COLUMNS.items():
+    for key, column in columns_of(scored).items():
         found = pairs.of(key)
         if found.pairs == 0:
             cells.append(TableCell("-"))
             continue
         unit = "points" if column.unit == "%" else column.unit
         difference = column.scale * float(found.differences[""].mean())
-        text = f"{difference:+.{digits(key)}f}\u00a0{unit}"
+        text = f"{difference:+.{digits(key)}f}\u00a0{unit}".rstrip()
         note = f"over {found.pairs} of {_counted(most, 'pair')}" if found.pairs < most else None
         cells.append(TableCell(text, note=note, size=abs(round(difference, digits(key)))))
     compared = pairs.by_scene[""]
@@ -210,7 +224,7 @@ def difference_line(
 
 
 def _number(key: str, value: float) -> str:
-    return f"{value:.{digits(key)}f}\u00a0{COLUMNS[key].unit}"
+    return f"{value:.{digits(key)}f}\u00a0{column_of(key).unit}".rstrip()
 
 
 def _counted(count: int, noun: str) -> str:
@@ -219,7 +233,7 @@ def _counted(count: int, noun: str) -> str:
 
 def digits(key: str) -> int:
     """Digits behind the point of a metric, a key of `COLUMNS`, in its column's unit."""
-    return 2 if COLUMNS[key].unit == "s" else 1
+    return 1 if column_of(key).unit == "%" else 2
 
 
 def score_lines(evaluation: Mapping[str, Any]) -> tuple[ImageScore, ...]:

@@ -123,6 +123,10 @@ class RunConfig(Record):
             "package.module:attribute; null: none. Images of the truth are never restored"
         ),
     )
+    metrics: tuple[str, ...] = Field(
+        default=(),
+        description="own metrics beside recast's: names, or package.module:attribute",
+    )
     seed: int = Field(default=0, description="seed of everything random")
     threads: int = Field(default=0, ge=0, le=1024, description="number of CPU threads; 0: all")
     preset: Preset | None = Field(
@@ -191,8 +195,8 @@ class RunConfig(Record):
         Members that only some runs set are not there in others, so that older runs can be gone on
         with.
         """
-        values = {"restorer": self.restorer, "end_on_contact": self.end_on_contact}
-        unset = {name for name, value in values.items() if not value}
+        some = ("restorer", "end_on_contact", "metrics")
+        unset = {name for name in some if not getattr(self, name)}
         return self.model_dump(mode="json", exclude=unset)
 
 

@@ -30,7 +30,7 @@ from recast.arrays import Image
 from recast.core.diagnostics import Bars, ProgressBar, draws
 from recast.core.errors import printable
 from recast.logs import DrivingLog
-from recast.metrics import COLUMNS, OracleViews
+from recast.metrics import Column, OracleViews, headlines
 from recast.metrics.perceptual import load_distances
 from recast.reconstruction import (
     SHIFTS,
@@ -117,13 +117,19 @@ def candidates_table(candidates: Sequence[CandidateRecord]) -> Table:
 
 
 def results_tables(rows: Sequence[Mapping[str, Any]]) -> list[Table]:
-    """One table for each planner: headline metrics by arm; 80 columns wide."""
+    """Tables of each planner: headline metrics by arm, and own metrics; 80 columns wide."""
     planners = dict.fromkeys(row["planner"] for row in rows)
-    return [_results(planner, [r for r in rows if r["planner"] == planner]) for planner in planners]
+    found = {planner: [r for r in rows if r["planner"] == planner] for planner in planners}
+    return [
+        _results(planner, mine, columns)
+        for planner, mine in found.items()
+        for columns in headlines(mine[0]["means"])
+    ]
 
 
-def _results(planner: str, rows: Sequence[Mapping[str, Any]]) -> Table:
-    headline = {name: column for name, column in COLUMNS.items() if column.headline}
+def _results(
+    planner: str, rows: Sequence[Mapping[str, Any]], headline: Mapping[str, Column]
+) -> Table:
     headings = [column.heading for column in headline.values()]
     title = Text(f"{printable(planner)} in closed loop")
     table = narrow_table(title, ["arm", "scored", "plans", *headings])

@@ -18,7 +18,7 @@ from recast.core import Artefact, Store
 from recast.core.errors import InputError
 from recast.core.files import member
 from recast.logs import DrivingLog, HdMap, map_of, read_log
-from recast.metrics import RolloutMetrics
+from recast.metrics import RolloutMetrics, own_metrics
 from recast.reporting import (
     NOT_MADE,
     ActorPart,
@@ -251,7 +251,8 @@ class GatheredRun:
                     yield one
 
     def _scored(self, motion: str, planner: str) -> dict[str, ScoredRollout | RolloutFailure]:
-        return scored_rollouts(motion, planner, self.config.arms, self._find, self.map)
+        own = own_metrics(self.config.metrics)
+        return scored_rollouts(motion, planner, self.config.arms, self._find, self.map, own)
 
     def scenario(self, name: str, planner: str) -> ScenarioPart:
         """The rollouts of a motion under each arm."""

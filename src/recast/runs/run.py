@@ -15,7 +15,7 @@ from recast.core import Artefact, files, open_store, value_hash
 from recast.core.errors import InputError, UnreachableError, printable
 from recast.core.records import validation_error
 from recast.core.workers import use_threads
-from recast.metrics import RolloutMetrics, rollout_metrics
+from recast.metrics import RolloutMetrics, own_metrics, rollout_metrics
 from recast.metrics.table import over_common_steps
 from recast.planning import GTRS_MINI, make_planner
 from recast.reconstruction import SceneConfig, require_log_of
@@ -82,6 +82,7 @@ def run(
         announce_planner(artefacts.planner(planner), artefacts.mounts(planner), console)
     if config.restorer is not None:
         make_restorer(config.restorer)
+    own_metrics(config.metrics)
     for arm in artefacts.arms.values():
         if arm.generates:
             artefacts.makers(arm)
@@ -131,13 +132,14 @@ class _Run:
     def _report(self) -> Path:
         path, used, source = self._folder.path, self._artefacts.used, self._artefacts.source
         trust = RunTrust(source.log, self._config.track)
-        made_from = _hash_of("metrics", used.values())
+        own = "".join(f", {source}" for source in self._artefacts.sources.metrics.values())
+        made_from = _hash_of("metrics", used.values()) + own
         self._folder.finish(
             METRICS_FILE,
             made_from,
             lambda: write_metrics(path / METRICS_FILE, self._config, used, source.map, trust),
         )
-        made_from = _hash_of("report", used.values())
+        made_from = _hash_of("report", used.values()) + own
         made_from += "" if self._replay(made_from) else ", no replay"
         with self._console.status("writing the report"):
             self._folder.finish(REPORT_FOLDER, made_from, lambda: report_run(path))

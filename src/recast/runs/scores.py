@@ -17,7 +17,16 @@ from recast.actors import load_actor
 from recast.core import Artefact, files
 from recast.core.records import parse_record
 from recast.logs import DrivingLog, HdMap
-from recast.metrics import COLUMNS, RolloutMetrics, matched_pairs, rollout_metrics, table
+from recast.metrics import (
+    COLUMNS,
+    BaseMetric,
+    RolloutMetrics,
+    columns_of,
+    matched_pairs,
+    own_metrics,
+    rollout_metrics,
+    table,
+)
 from recast.metrics.trust import (
     SIGHTLESS,
     GivenCamera,
@@ -70,6 +79,7 @@ def scored_rollouts(
     arms: Sequence[Arm],
     find: Callable[[str], Artefact | None],
     hd_map: HdMap,
+    own: Sequence[BaseMetric] = (),
 ) -> dict[str, ScoredRollout | RolloutFailure]:
     """The rollouts of a scenario that were made, by arm.
 
@@ -77,15 +87,16 @@ def scored_rollouts(
         motion, planner: names of the motion and the planner in the run's config.
         find: function that gives the artefact of a use; None if the run has none.
         hd_map: lanes and drivable area that they are judged by.
+        own: own metrics.
 
     Raises:
-        InputError: a record is missing or damaged.
+        InputError: a record is missing or damaged, or an own metric fails.
     """
     made = {arm.name: find(rollout_name(motion, planner, arm.name)) for arm in arms}
     folders = {name: artefact.path for name, artefact in made.items() if artefact is not None}
     results = {name: read_rollout(folder) for name, folder in folders.items()}
     metrics = {
-        name: rollout_metrics(result, hd_map)
+        name: rollout_metrics(result, hd_map, own)
         for name, result in results.items()
         if isinstance(result, Rollout)
     }
@@ -130,8 +141,9 @@ def write_metrics(
     """
     rollouts: list[ScoredRollout] = []
     failures: list[RolloutFailure] = []
+    own = own_metrics(config.metrics)
     for motion, planner in product(config.motions, config.planners):
-        found = scored_rollouts(motion, planner, config.arms, used.get, hd_map)
+        found = scored_rollouts(motion, planner, config.arms, used.get, hd_map, own)
         rollouts += [one for one in found.values() if isinstance(one, ScoredRollout)]
         failures += [one for one in found.values() if isinstance(one, RolloutFailure)]
     metrics = [one.metrics for one in rollouts]
@@ -187,7 +199,7 @@ def _shorter(one: RolloutMetrics, others: Sequence[RolloutMetrics]) -> dict[str,
         and other.steps_run < one.steps_run
     }
     parts = {steps: one.over(steps).values for steps in sorted(lengths)}
-    return {str(n): {key: values[key].value for key in COLUMNS} for n, values in parts.items()}
+    return {str(n): {key: one.value for key, one in values.items()} for n, values in parts.items()}
 
 
 def _differences(
@@ -199,7 +211,7 @@ def _differences(
     """A line for each metric that a pair has: the mean in the column's unit, and over what."""
     pairs = matched_pairs({"": metrics}, candidate, baseline, {"": failures})
     found = []
-    for name, column in COLUMNS.items():
+    for name, column in columns_of(metrics).items():
         one = pairs.of(name)
         if one.pairs == 0:
             continue

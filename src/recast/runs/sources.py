@@ -17,7 +17,7 @@ from recast.actors.vehicle_files import files_of_vehicle, is_vehicle_file
 from recast.core.artefact import file_hash, files_hash, folder_hash, remote_path
 from recast.core.diagnostics import ProgressBar
 from recast.core.errors import InputError
-from recast.core.plugins import RESTORERS
+from recast.core.plugins import METRICS, RESTORERS
 from recast.logs import DrivingLog, HdMap, map_of, read_log
 from recast.logs.load import local_folder
 from recast.planning import planner_source
@@ -160,6 +160,7 @@ class Sources:
     generators: Mapping[str, str]
     segmenters: Mapping[str, str]
     restorers: Mapping[str, str] = field(default_factory=dict)
+    metrics: Mapping[str, str] = field(default_factory=dict)
 
     @classmethod
     def of(cls, config: RunConfig, scene: str, known: Sources | None = None) -> Self:
@@ -183,6 +184,7 @@ class Sources:
             _each([str(arm.generator) for arm in generated], generator_source, known.generators),
             _each([str(arm.segmenter) for arm in generated], segmenter_source, known.segmenters),
             _each(restorers, restorer_source, known.restorers),
+            _each(config.metrics, METRICS.source, known.metrics),
         )
 
 

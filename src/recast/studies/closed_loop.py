@@ -18,7 +18,8 @@ from recast.core import files
 from recast.core.diagnostics import ProgressBar
 from recast.core.errors import InputError, printable
 from recast.logs import read_log
-from recast.metrics.table import COLUMNS, Bootstrap, rounded
+from recast.metrics import COLUMNS, Column, column_of, columns_of, headlines, own_metrics
+from recast.metrics.table import Bootstrap, rounded
 from recast.planning import BasePlanner, make_planner
 from recast.runs.arms import truth_of
 from recast.runs.display import failure_lines, narrow_table
@@ -150,6 +151,7 @@ def check_grid(settings: BenchSettings) -> dict[str, BasePlanner]:
     require_distinct_planners(planners)
     if config.restorer is not None:
         make_restorer(config.restorer)
+    own_metrics(config.metrics)
     for scene in settings.scenes:
         for arm in (config.arm(arm.name).of_scene(scene.id) for arm in config.arms):
             if arm.generates:
@@ -210,7 +212,11 @@ def _print(results: GridResults, settings: BenchSettings, console: Console) -> N
             f"{len(config.motions)} motions and settings, {len(config.arms)} arms"
         )
         table = [line for line in results.table if line.row.planner == planner]
-        console.print(grid_table(table, escape(printable(title))))
+        ours, *own = headlines(table[0].row.means)
+        console.print(grid_table(table, escape(printable(title)), ours))
+        for columns in own:
+            title = f"own metrics of {planner}"
+            console.print(grid_table(table, escape(printable(title)), columns))
         differences = [one for one in results.differences if one.planner == planner]
         if differences:
             console.print(differences_table(differences))
@@ -239,8 +245,7 @@ def _print(results: GridResults, settings: BenchSettings, console: Console) -> N
 
 
 _BLAME = "nc_at_fault"
-_HEADLINE = {name: column for name, column in COLUMNS.items() if column.headline}
-_DIGITS = {"s": 2, "%": 1}
+_DIGITS = {"s": 2, "%": 1, "": 2}
 
 
 @dataclass(frozen=True)
@@ -300,7 +305,7 @@ def results_json(results: GridResults, settings: BenchSettings) -> dict[str, Any
             "failed": len(failed),
             "samples": settings.samples,
             "seed": config.seed,
-            "units": {name: column.unit for name, column in COLUMNS.items()},
+            "units": {name: column.unit for name, column in columns_of(results.rows).items()},
             "table": [_line(line) for line in results.table],
             "differences": [asdict(one) for one in results.differences],
             "truth": [_agreement(one, results.floors) for one in results.truth],
@@ -348,19 +353,25 @@ def _named(row: GridRow) -> dict[str, str]:
     return {name: getattr(row, name) for name in ("scene", "motion", "setting", "planner", "arm")}
 
 
-def grid_table(lines: Sequence[ArmSummary], title: str) -> Table:
+def grid_table(
+    lines: Sequence[ArmSummary], title: str, columns: Mapping[str, Column] = COLUMNS
+) -> Table:
     """A line for each arm: means with their intervals over scenes.
 
     Below the names stands how many rollouts were scored, of how many. A metric that not every one
     of them has says over how many it is. Below NC stands how many collisions the ego is to blame
     for.
+
+    Args:
+        columns: metrics, of which the headlines are shown.
     """
-    table = narrow_table(title, ["arm"], [column.heading for column in _HEADLINE.values()])
+    headline = {name: column for name, column in columns.items() if column.headline}
+    table = narrow_table(title, ["arm"], [column.heading for column in headline.values()])
     for line in lines:
         row = line.row
         told = [broken_name(row.arm), f"{row.rollouts} of {row.asked}", f"{row.plans} plans"]
         told += [f"{n} {what}" for n, what in ((row.failed, "failed"), (row.cut, "cut")) if n]
-        table.add_row("\n".join(told), *(_mean(line, name) for name in _HEADLINE))
+        table.add_row("\n".join(told), *(_mean(line, name) for name in headline))
     return table
 
 
@@ -373,9 +384,9 @@ def differences_table(differences: Sequence[PairedDifference]) -> Table:
     figures = ["mean", f"{level:g} % sampled", "exact", "pairs", "plans"]
     table = narrow_table(title, [baseline, "metric"], figures)
     for one in differences:
-        if one.metric not in _HEADLINE:
+        column = column_of(one.metric)
+        if not column.headline:
             continue
-        column = _HEADLINE[one.metric]
         digits = _DIGITS[column.unit]
         table.add_row(
             broken_name(one.candidate),
@@ -410,12 +421,12 @@ def broken_name(arm: str) -> str:
 
 
 def _mean(line: ArmSummary, name: str) -> str:
-    mean, digits = line.row.means[name], _DIGITS[COLUMNS[name].unit]
+    mean, digits = line.row.means[name], _DIGITS[column_of(name).unit]
     if mean is None:
         return "n/a"
     shown = [f"{mean:.{digits}f}", span(line.intervals[name], digits)]
     count = line.row.counts[name]
-    if COLUMNS[name].passes:
+    if column_of(name).passes:
         shown.insert(1, f"{round(mean * count / 100)}/{count}")
         blame = line.row.means.get(_BLAME) if name == "nc" else None
         if blame is not None and mean < 100.0:

@@ -26,6 +26,8 @@ from recast.metrics.table import (
     Metric,
     TableRow,
     cluster_bootstrap,
+    column_of,
+    columns_of,
     exact_bootstrap,
     invalid,
     matched_pairs,
@@ -328,8 +330,8 @@ class GridRow:
         plan_steps: steps at which plans were made; empty where the rollout failed.
         first_collision_step: step of the first collision; None where there was no collision.
         map_derived: field of the same name, see `RolloutMetrics`.
-        scores: scores by metric, keys of `COLUMNS`, plain values (shares between 0 and 1, seconds);
-            None where a metric is not valid. Empty where the rollout failed.
+        scores: scores by metric, keys of `COLUMNS` and own ones, plain values (shares between 0
+            and 1, seconds); None where a metric is not valid. Empty where the rollout failed.
         shorter: the same scores of the first steps alone, by how many steps: for each length at
             which the rollout of another arm in the scenario was cut.
         trust: how far to trust the verdict, see `RolloutTrust.to_json`; None for the truth, and
@@ -376,11 +378,8 @@ class GridRow:
             plan_steps=tuple(metrics["per_cycle"]["plan_steps"]),
             first_collision_step=per_step["first_collision_step"],
             map_derived=per_step["map_derived"],
-            scores={name: metrics["metrics"][name]["value"] for name in COLUMNS},
-            shorter={
-                int(steps): {name: scores[name] for name in COLUMNS}
-                for steps, scores in metrics["shorter"].items()
-            },
+            scores={name: one["value"] for name, one in metrics["metrics"].items()},
+            shorter={int(steps): scores for steps, scores in metrics["shorter"].items()},
             trust=metrics["trust"],
         )
 
@@ -409,7 +408,7 @@ class GridRow:
     @property
     def values(self) -> Mapping[str, Metric]:
         """Every metric by name."""
-        found = {name: self.scores.get(name) for name in COLUMNS}
+        found = {**dict.fromkeys(COLUMNS), **self.scores}
         return {n: invalid("no value") if v is None else Metric(v) for n, v in found.items()}
 
     @property
@@ -481,7 +480,7 @@ def arm_summaries(rows: Sequence[GridRow], samples: int, seed: int) -> list[ArmS
         mine = [r for r in scored if (r.planner, r.arm) == (line.planner, line.arm)]
         intervals = {
             name: cluster_bootstrap(scenes, np.random.default_rng(seed), samples)
-            for name in COLUMNS
+            for name in line.means
             if (scenes := _by_scene(mine, name))
         }
         summaries.append(ArmSummary(line, intervals))
@@ -502,13 +501,14 @@ def paired_summaries(
     found = []
     for planner in dict.fromkeys(row.planner for row in rows):
         mine = [row for row in rows if row.planner == planner]
+        of_all = [row for row in mine if row.failure is None]
         scored: dict[str, list[GridRow]] = {}
         failed: dict[str, list[GridRow]] = {}
         for row in mine:
             (scored if row.failure is None else failed).setdefault(row.scene, []).append(row)
         for candidate in dict.fromkeys(row.arm for row in mine if row.arm != baseline):
             pairs = matched_pairs(scored, candidate, baseline, failed)
-            for name, column in COLUMNS.items():
+            for name, column in columns_of(of_all).items():
                 one = pairs.of(name)
                 if one.pairs == 0:
                     continue
@@ -526,5 +526,5 @@ def _by_scene(rows: Sequence[GridRow], name: str) -> list[Array]:
     for row in rows:
         value = row.scores.get(name)
         if value is not None:
-            scenes.setdefault(row.scene, []).append(COLUMNS[name].scale * value)
+            scenes.setdefault(row.scene, []).append(column_of(name).scale * value)
     return [np.array(values) for values in scenes.values()]

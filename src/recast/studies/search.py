@@ -20,7 +20,8 @@ from rich.console import Console
 from recast.core import files, value_hash
 from recast.core.diagnostics import ProgressBar
 from recast.core.errors import InputError
-from recast.metrics import rollout_metrics
+from recast.core.plugins import METRICS
+from recast.metrics import own_metrics, rollout_metrics
 from recast.runs.rollouts import read_rollout
 from recast.simulation import ScriptedMotion, motion, motion_of_record, scenario_name
 from recast.simulation.rollout import Rollout
@@ -125,7 +126,7 @@ class SearchSettings:
 
     def record(self) -> dict[str, Any]:
         """What makes this study another than others: plain data. More trials make no other."""
-        bench = self.bench.record()
+        bench, metrics = self.bench.record(), self.bench.run.metrics
         return {
             **{key: bench[key] for key in ("config", "drive", "scenes")},
             "format": SEARCH_FORMAT,
@@ -142,6 +143,7 @@ class SearchSettings:
             "seed": self.design.seed,
             **({"trials": self.design.trials} if self.design.name == "grid" else {}),
             "objective": self.objective.text,
+            **({"metrics": [*map(METRICS.source, metrics)]} if metrics else {}),
         }
 
 
@@ -169,9 +171,9 @@ def resolve_search(
     """
     axes = tuple(parse_axis(text) for text in over or ("gap=2:40",))
     chosen = Design(design, axes, trials, seed)
-    asked = parse_objective(objective)
     named = tuple(dict.fromkeys(one_setting(name) for name in motions or ("cut-in-a",)))
     made = bench(named)
+    asked = parse_objective(objective, [one.name for one in own_metrics(made.run.metrics)])
     run = made.run.model_copy(update={"end_on_contact": asked.threshold is None})
     return SearchSettings(replace(made, run=run), chosen, asked, dict(fixed))
 
@@ -270,7 +272,8 @@ class SearchWorker(BenchWorker):
         if not isinstance(found, Rollout):
             refused = found.error == InputError.__name__
             return {"failure": found.reason, "refused": refused}
-        metrics = rollout_metrics(found, artefacts.source.map)
+        own = own_metrics(artefacts.config.metrics)
+        metrics = rollout_metrics(found, artefacts.source.map, own)
         key = f"{task.scene.id}/{task.motion}"
         if key not in self._asked:
             setup = artefacts.setup(task.motion, artefacts.arms[task.arm])

@@ -4,7 +4,7 @@ mastered its scenario."""
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -74,8 +74,11 @@ class Objective:
         return -max(speed**2 / (2 * HARD), 1e-6)
 
 
-def parse_objective(text: str) -> Objective:
+def parse_objective(text: str, own: Sequence[str] = ()) -> Objective:
     """An objective as the command line names it.
+
+    Args:
+        own: names of own metrics.
 
     Raises:
         InputError: it is none; lists those there are.
@@ -83,7 +86,7 @@ def parse_objective(text: str) -> Objective:
     if text in CONTACTS:
         return Objective(text, text)
     found = re.fullmatch(r"([a-z0-9_]+)([<>])([-+]?[0-9.]+(?:e[-+]?[0-9]+)?)", text)
-    known = (*MEASURES, *(name for name in COLUMNS if name not in MEASURES))
+    known = (*MEASURES, *(name for name in COLUMNS if name not in MEASURES), *own)
     if found is None or found[1] not in known:
         mend = f"choose {' or '.join(CONTACTS)}, or write NAME<VALUE of {', '.join(known)}"
         raise InputError("`objective`", text, "is not known", mend)

@@ -9,7 +9,7 @@ from typing import Any
 from recast.actors.actor import CandidateRecord
 from recast.cli.shared import Rows, with_unit
 from recast.core.errors import InputError
-from recast.metrics import COLUMNS
+from recast.metrics import column_of
 from recast.metrics.plan_agreement import PlanAgreement
 from recast.metrics.scene_level_table import LevelRow
 from recast.metrics.table import Bootstrap
@@ -58,7 +58,7 @@ def grid_rows(results: GridResults) -> Rows:
         {
             **_arm(line.row.to_json()),
             **{
-                with_unit(f"{name}_{end}", COLUMNS[name].unit): getattr(interval, end)
+                with_unit(f"{name}_{end}", column_of(name).unit): getattr(interval, end)
                 for name, interval in line.intervals.items()
                 for end in ("low", "high")
             },
@@ -68,7 +68,7 @@ def grid_rows(results: GridResults) -> Rows:
     differences = [
         {
             **{key: value for key, value in vars(one).items() if key not in ("sampled", "exact")},
-            "unit": COLUMNS[one.metric].unit,
+            "unit": column_of(one.metric).unit,
             "mean": one.sampled.point,
             **_interval("sampled", one.sampled),
             **_interval("exact", one.exact),
@@ -132,10 +132,10 @@ def level_rows(lines: Sequence[LevelRow]) -> Rows:
 
 def _arm(row: Mapping[str, Any]) -> dict[str, Any]:
     counted = ("planner", "arm", "asked", "rollouts", "failed", "cut", "plans")
-    known = [name for name in COLUMNS if name in row["means"]]
+    known = row["means"]
     return {
         **{name: row[name] for name in counted},
-        **{with_unit(name, COLUMNS[name].unit): row["means"][name] for name in known},
+        **{with_unit(name, column_of(name).unit): row["means"][name] for name in known},
         **{f"{name}_rollouts": row["counts"][name] for name in known},
     }
 
