@@ -24,7 +24,9 @@ OPTIONS = ("--motions", "advancing-a", "stationary-a", "--steps", "10", "--sampl
 
 
 def command(scenes: list[str], out: Path, *more: str) -> list[str]:
-    return ["bench", "closed-loop", "--scenes", *scenes, "--out", str(out), *OPTIONS, *more]
+    planner = () if "--planner" in more else ("--planner", "idm-follower")
+    words = ["bench", "closed-loop", "--scenes", *scenes, "--out", str(out)]
+    return [*words, *OPTIONS, *planner, *more]
 
 
 @pytest.fixture(scope="module")

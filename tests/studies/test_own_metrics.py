@@ -128,6 +128,7 @@ def test_it_is_the_objective_of_a_search(
 ) -> None:
     words = ["search", f"{log}:7", "--out", str(tmp_path / "study"), "--steps", "20"]
     words += ["--design", "grid", "--trials", "3", "--arm", "native", "--over", "gap=4:40"]
+    words += ["--planner", "idm-follower"]
     assert main([*words, "--objective", "least_gap_m<20"]) == 2
     assert "--objective: least_gap_m<20: is not known" in capsys.readouterr().err
     words += ["--metric", NAME]

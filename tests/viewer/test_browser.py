@@ -47,7 +47,7 @@ MOST = 150_000
 SETTLED = 8_000 if RUN else 300  # ms
 
 pytestmark = [
-    pytest.mark.slow,
+    pytest.mark.whole,
     pytest.mark.skipif(not CHROMIUM.exists(), reason=f"{CHROMIUM} not found: set CHROMIUM"),
 ]
 

@@ -188,12 +188,13 @@ _SHOWN = 5
 
 def _distance_cells(one: BoundaryDistance) -> list[str]:
     logs = "1 log" if one.scenes == 1 else f"{one.scenes} logs"
+    over = "" if one.scenes == 1 else " ({:.2f} to {:.2f})"
     return [
         one.arm,
         one.planner,
         one.motion,
-        f"{one.distance.point:.2f} ({one.distance.low:.2f} to {one.distance.high:.2f})",
-        f"{one.shift.point:+.2f} ({one.shift.low:+.2f} to {one.shift.high:+.2f})",
+        f"{one.distance.point:.2f}" + over.format(one.distance.low, one.distance.high),
+        f"{one.shift.point:+.2f}" + over.format(one.shift.low, one.shift.high),
         "n/a" if one.differs is None else f"{100 * one.differs:.1f} %",
         f"{one.rows} ({logs})",
     ]
