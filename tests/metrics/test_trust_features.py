@@ -80,17 +80,27 @@ def test_plans_without_a_common_time_do_not_change() -> None:
     assert plan_changes(few) == pytest.approx([0.0, 3.0], abs=1e-9)
 
 
-def test_the_margin_is_the_smallest_gap_or_the_depth_of_the_contact() -> None:
+def test_the_smallest_gap_or_the_speed_of_the_contact() -> None:
     free = features(rollout(y=1.0))
-    assert free.values["margin_m"] == pytest.approx(10.0 - 1.0 - WIDTHS, abs=1e-9)
+    assert free.values["gap_m"] == pytest.approx(10.0 - 1.0 - WIDTHS, abs=1e-9)
     assert free.values["collision"] == 0.0
-    hit = features(rollout(y=1.0, actor_y=1.0 + 1.5))
-    assert hit.values["margin_m"] == pytest.approx(WIDTHS - 1.5, abs=1e-9)
+    assert "contact_speed_mps" not in free.values
+    crossing = rollout(y=1.0, actor_y=2.5, actor_yaw=np.radians(90.0))
+    hit = features(crossing)
+    assert hit.values["contact_speed_mps"] == pytest.approx(SPEED, abs=1e-9)
     assert hit.values["collision"] == 1.0
-    metrics = rollout_metrics(rollout(y=1.0, actor_y=2.5), None)
-    assert hit.closest == metrics.collision.first_step
-    assert "least_ttc_s" not in hit.values
-    assert hit.missing["least_ttc_s"] == "the rollout collides"
+    assert hit.closest == rollout_metrics(crossing, None).collision.first_step
+    assert {"gap_m", "least_ttc_s"}.isdisjoint(hit.values)
+    assert hit.missing["least_ttc_s"] == hit.missing["gap_m"] == "the rollout collides"
+
+
+def test_the_speed_of_a_contact_is_relative() -> None:
+    made = rollout(actor_y=0.0)
+    actor = made.actor.copy()
+    actor[:, 2:] = np.pi, 3.0  # towards the ego
+    metrics = rollout_metrics(replace(made, actor=actor), None)
+    assert metrics.contact_speed == pytest.approx(SPEED + 3.0, abs=1e-9)
+    assert rollout_metrics(rollout(), None).contact_speed is None
 
 
 def test_only_plans_before_the_contact_count() -> None:

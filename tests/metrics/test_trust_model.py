@@ -213,7 +213,7 @@ def test_the_packaged_calibration_is_read() -> None:
     [(-4.0, "Fewer than 1 of 10"), (0.85, "About 7 of 10"), (4.0, "More than 9 of 10")],
 )
 def test_the_trust_in_tenths(odds: float, words: str) -> None:
-    features = TrustFeatures({"collision": 0.0, "margin_m": 1.0}, {}, 0, 5, None, None)
+    features = TrustFeatures({"collision": 0.0, "gap_m": 1.0}, {}, 0, 5, None, None)
     packaged = packaged_calibration()
     added = sum(packaged.model.parts(features.values).values())
     trust = judge(features, packaged.model_copy(update={"intercept": odds - added}))
@@ -221,7 +221,7 @@ def test_the_trust_in_tenths(odds: float, words: str) -> None:
     assert trust.words.startswith(f"{words} verdicts like this one are right:")
 
 
-VALUES = {"collision": 0.0, "margin_m": 0.4, "plan_change_m": 3.2, "without_shares": 1.0}
+VALUES = {"collision": 0.0, "gap_m": 0.4, "plan_change_m": 3.2, "without_shares": 1.0}
 
 
 def test_words_name_the_steps_and_what_is_not_known() -> None:

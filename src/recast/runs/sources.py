@@ -39,8 +39,8 @@ RECIPES = {
     "rollout": 11,
     "plans": 3,
     "scene-level": 3,
-    "metrics": 11,
-    "report": 13,
+    "metrics": 12,
+    "report": 14,
 }
 """Version of what recast's own code makes of the inputs of a step.
 

@@ -135,11 +135,13 @@ def reliability_table(found: Reliability, title: str) -> Table:
 
 def _print(found: Reliability, title: str, console: Console) -> None:
     console.print(reliability_table(found, title))
-    auc, alone = ("none" if one is None else f"{one:.3f}" for one in (found.auc, found.verdict_auc))
+    areas = (found.auc, found.verdict_auc, found.collision_auc)
+    auc, alone, of_collisions = ("none" if one is None else f"{one:.3f}" for one in areas)
     console.print(
         f"{found.agreeing} of {found.rollouts} agree, {found.scenes} scenes; area under the ROC "
-        f"curve {auc} ({alone} for the verdict alone); Brier score {found.brier:.3f} "
-        f"({found.base_brier:.3f} for the mean alone)",
+        f"curve {auc} ({alone} for the verdict alone), {of_collisions} among collisions "
+        f"({found.agreeing_collisions} of {found.collisions} agree); Brier score "
+        f"{found.brier:.3f} ({found.base_brier:.3f} for the mean alone)",
         markup=False,
         highlight=False,
     )

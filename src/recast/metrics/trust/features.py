@@ -15,12 +15,11 @@ from recast.actors.actor import Coverage
 from recast.arrays import Array, Int64Array
 from recast.cameras import box_rectangle
 from recast.dynamics import plan_to_poses
-from recast.geometry import boxes, se3
-from recast.geometry.boxes import TOUCHING
+from recast.geometry import se3
 from recast.logs import DrivingLog
-from recast.metrics.driving import CAP, box_gaps
+from recast.metrics.driving import CAP
 from recast.metrics.oracle_views import angle_to_nearest, logged_views, view_direction
-from recast.metrics.rollout_metrics import RolloutMetrics
+from recast.metrics.rollout_metrics import RolloutMetrics, least_gaps
 from recast.metrics.table import over_common_steps
 from recast.simulation.rollout import Rollout
 from recast.simulation.scene_renderer import RolloutCoverage
@@ -183,7 +182,8 @@ FEATURES: Mapping[str, Feature] = {
     "held_out_ssim": Feature("SSIM of the nearest held-out frames", 1),
     "vehicle_px": Feature("size in pixels of the vehicle at the plan that changed most", 0, True),
     "plan_change_m": Feature("largest change between plans in metres", -1, True),
-    "margin_m": Feature("margin in metres before the verdict changes", 1, True),
+    "gap_m": Feature("smallest gap in metres, of a rollout without a collision", 1, True),
+    "contact_speed_mps": Feature("relative speed in m/s at the contact, of a collision", 1),
     "least_ttc_s": Feature(
         "least time to collision in seconds, of a rollout without a collision", 1
     ),
@@ -258,7 +258,14 @@ def trust_features(
         values["plan_change_m"] = float(changes.max())
     else:
         missing["plan_change_m"] = "only one plan led to the verdict"
-    values["margin_m"], closest = _margin(rollout, contact)
+    gaps, speed = least_gaps(rollout), metrics.contact_speed
+    closest = int(np.argmin(gaps)) if contact is None else contact
+    if speed is None:
+        values["gap_m"] = float(gaps[closest])
+        missing["contact_speed_mps"] = "the rollout has no contact"
+    else:
+        values["contact_speed_mps"] = speed
+        missing["gap_m"] = "the rollout collides"
     least = None if metrics.ttc.ttc.value is None else float(metrics.ttc.per_cycle.min())
     if contact is None and least is not None:
         values["least_ttc_s"] = min(least, CAP)
@@ -289,28 +296,6 @@ def plan_changes(rollout: Rollout) -> Array:
         apart = np.linalg.norm(before - after, axis=-1)
         found.append(float(apart.mean()) if common > 0 else 0.0)
     return np.array(found)
-
-
-def _margin(rollout: Rollout, contact: int | None) -> tuple[float, int]:
-    """Metres that the verdict is from flipping, and the step of the contact or the smallest gap.
-
-    Without a contact the smallest gap; else how far the ego would have had to be moved to be free
-    of the actor, at the deepest of the first contact.
-    """
-    ego, gaps, depths = rollout.ego_boxes, [], []
-    others = [(one.states, one.size) for one in rollout.controlled]
-    for states, size in [(rollout.actor, rollout.actor_size), *others]:
-        gaps.append(box_gaps(ego, rollout.ego_size, states, size))
-        area = boxes.bev_overlap_area(ego, rollout.ego_size, states[:, :3], size)
-        depth = boxes.bev_depth(ego, rollout.ego_size, states[:, :3], size)
-        depths.append(np.where(area > TOUCHING, depth, 0.0))
-    gap, depth = np.min(gaps, axis=0), np.max(depths, axis=0)
-    if contact is None:
-        closest = int(np.argmin(gap))
-        return float(gap[closest]), closest
-    free = np.flatnonzero(depth[contact:] <= 0.0)
-    end = len(depth) if len(free) == 0 else contact + int(free[0])
-    return float(depth[contact:end].max(initial=0.0)), contact
 
 
 def _flips(one: RolloutMetrics, other: RolloutMetrics) -> bool:

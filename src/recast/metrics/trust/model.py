@@ -183,6 +183,9 @@ class Reliability(Record):
         auc: area under the ROC curve: the chance that of a right and a wrong verdict the right one
             has the greater trust; None if all are right, or all wrong.
         verdict_auc: the same of a figure that looks at the verdict alone, collision or not.
+        collisions, agreeing_collisions: rollouts that collide, and those of them that do so in the
+            true world.
+        collision_auc: `auc` among those that collide, where the verdict alone has 0.5.
         brier: mean squared difference between trust and truth (1 right, 0 wrong).
         base_brier: the same of a figure that gives every rollout the share of right verdicts.
     """
@@ -192,6 +195,9 @@ class Reliability(Record):
     agreeing: int = Field(ge=0)
     auc: _Share | None
     verdict_auc: _Share | None
+    collisions: int = Field(ge=0)
+    agreeing_collisions: int = Field(ge=0)
+    collision_auc: _Share | None
     brier: _Share
     base_brier: _Share
     bins: tuple[ReliabilityBin, ...]
@@ -232,13 +238,17 @@ def reliability(rollouts: Sequence[JudgedRollout], trust: ArrayLike) -> Reliabil
             )
         )
     share = float(right.mean())
-    alone = area_under_roc([one.features["collision"] for one in rollouts], right)
+    collides = np.array([one.features["collision"] for one in rollouts], np.bool_)
+    alone = area_under_roc(collides, right)
     return Reliability(
         scenes=len({one.scene for one in rollouts}),
         rollouts=len(rollouts),
         agreeing=int(right.sum()),
         auc=area_under_roc(given, right),
         verdict_auc=None if alone is None else max(alone, 1.0 - alone),
+        collisions=int(collides.sum()),
+        agreeing_collisions=int((collides & right).sum()),
+        collision_auc=area_under_roc(given[collides], right[collides]),
         brier=float(np.mean((given - right) ** 2)),
         base_brier=share * (1 - share),
         bins=tuple(bins),
@@ -269,7 +279,7 @@ def fit_rollouts(rollouts: Sequence[JudgedRollout], ridge: float = RIDGE) -> Tru
 
 
 FORMAT: Literal["recast-trust"] = "recast-trust"
-VERSION: Literal[2] = 2
+VERSION: Literal[3] = 3
 MEASURED_SCENES = 20
 """A calibration on fewer scenes is provisional."""
 _MEND = "make it again with `recast bench trust`"
@@ -303,7 +313,7 @@ class TrustCalibration(Record):
     """
 
     format: Literal["recast-trust"] = FORMAT
-    version: Literal[2] = VERSION
+    version: Literal[3] = VERSION
     intercept: float
     ridge: float = Field(gt=0)
     features: tuple[CalibratedFeature, ...]
@@ -489,7 +499,7 @@ def judge(features: TrustFeatures, calibration: TrustCalibration) -> RolloutTrus
     return RolloutTrust(value, " ".join(told), steps, features, calibration.provisional)
 
 
-_EXPECTED = ("least_ttc_s", "plan_change_m", "noise_flips")
+_EXPECTED = ("gap_m", "contact_speed_mps", "least_ttc_s", "plan_change_m", "noise_flips")
 """Features whose absence only says what kind of rollout or run it is."""
 
 
@@ -516,12 +526,12 @@ def _vehicle(features: TrustFeatures) -> str:
 
 def _steps(features: TrustFeatures) -> dict[int, str]:
     """By step, in order."""
-    change, margin = features.values.get("plan_change_m"), features.values["margin_m"]
+    change = features.values.get("plan_change_m")
     changed = "the first plan" if change is None else f"the plan changed by {change:.1f} m"
     if features.values["collision"]:
-        closest = f"contact, {margin:.1f} m deep"
+        closest = f"contact at {features.values['contact_speed_mps']:.1f} m/s"
     else:
-        closest = f"smallest gap, {margin:.1f} m"
+        closest = f"smallest gap, {features.values['gap_m']:.1f} m"
     if features.changed == features.closest:
         return {features.changed: f"{changed}; {closest}"}
     return dict(sorted({features.changed: changed, features.closest: closest}.items()))
