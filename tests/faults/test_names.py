@@ -79,7 +79,12 @@ def test_a_run_with_hostile_names(
         ["advancing-a"],
         None,
         None,
-        {"generator": "support.own_parts:Box", "steps": 10, "threads": 1},
+        {
+            "generator": "support.own_parts:Box",
+            "planners": ("idm-follower",),
+            "steps": 10,
+            "threads": 1,
+        },
         {"iterations": 4, "scale": 0.25, "threads": 1},
     )
     config = config.model_copy(update={"arms": ARMS})

@@ -17,7 +17,7 @@ pytestmark = pytest.mark.whole
 def run(log: Path, out: Path) -> int:
     args = ["run", str(log), "--track", "0", "--out", str(out), "--motion", "advancing-a"]
     args += ["--motion", "stationary-a", "--steps", "10", "--iterations", "30", "--scale", "1"]
-    return main([*args, "--threads", "1"])
+    return main([*args, "--planner", "idm-follower", "--threads", "1"])
 
 
 @pytest.fixture(scope="module")
