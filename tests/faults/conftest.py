@@ -13,6 +13,7 @@ from support.unbroken import Unbroken, unbroken
 def finished(tiny_log_folder: Path, tmp_path_factory: pytest.TempPathFactory) -> Unbroken:
     """A whole `recast run` at its smallest."""
     args = ["run", str(tiny_log_folder), "--track", "0", "--motion", "advancing-a"]
+    args += ["--planner", "idm-follower"]
     args += ["--steps", "10", "--iterations", "4", "--scale", "0.5", "--threads", "1"]
     args += ["--generator", "support.own_parts:Box"]
     return unbroken(args, tmp_path_factory.mktemp("finished") / "1" / "run")
