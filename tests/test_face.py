@@ -210,6 +210,7 @@ WRONG: dict[str, tuple[Callable[[dict[str, Any]], object], str]] = {
     "planner": (lambda n: recast.run_grid("urban-straight:3", "x", planners="idm-folower"), "idm-"),
     "planners": (lambda n: recast.run_grid("urban-straight:3", "x", planers="idm"), "n planners?"),
     "show nothing": (lambda n: recast.show(), "things: are missing"),
+    "show logs": (lambda n: recast.show(n["log"], n["log"]), "are of several logs"),
     "show": (lambda n: recast.show(n["log"], 3), "cannot be shown beside objects: int"),
     "make_planner": (lambda n: recast.make_planner(None), "planner: is None; give"),
     "motion": (lambda n: recast.motion(3), "motion"),

@@ -281,6 +281,8 @@ def show(
     rollouts = [one for one in things if isinstance(one, Rollout)]
     origins = [one.origin for one in rollouts if one.origin is not None]
     logs = [one for one in things if isinstance(one, DrivingLog)]
+    if len(logs) > 1:
+        raise InputError("show", "things", "are of several logs", "show one log at a time")
     logs += [origin.setup.log for origin in origins if not logs]
     scenes = [one for one in things if isinstance(one, StreetScene)]
     rendered = [getattr(origin.renderer, "scene", None) for origin in origins if not scenes]

@@ -41,7 +41,7 @@ from recast.metrics.driving import (
     route_completion,
     time_to_collision,
 )
-from recast.metrics.table import COLUMNS, Metric, column_of
+from recast.metrics.table import COLUMNS, Metric, column_of, over_common_steps
 from recast.simulation.rollout import Rollout
 
 Array = NDArray[Any]
@@ -220,6 +220,11 @@ class RolloutMetrics(Brief):
         if steps == self.steps_run:
             return self
         return rollout_metrics(self.rollout.first(steps), self.hd_map, self.own_from)
+
+    def same_verdict(self, other: RolloutMetrics) -> bool:
+        """Whether both have the same verdict, collision or not, over the steps that both have."""
+        one, two = over_common_steps(self, other)
+        return one.collision.nc.value == two.collision.nc.value
 
     @property
     def values(self) -> dict[str, Metric]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,9 +10,8 @@ import numpy as np
 from recast.dynamics import state as ego
 from recast.metrics import RolloutMetrics
 from recast.metrics.rollout_metrics import least_gaps
-from recast.metrics.table import over_common_steps
-from recast.reporting.inputs import NotMade, ReportInputs, RolloutPart, ScenarioPart
-from recast.reporting.summary import listed, looked_at, same_endings, vehicles
+from recast.reporting.inputs import NotMade, ReportInputs, ScenarioPart
+from recast.reporting.summary import listed, looked_at, same_endings, scored, vehicles
 
 _STANDING = 0.5
 """Speed in m/s below which the ego stands."""
@@ -47,28 +46,25 @@ def finding(run: ReportInputs) -> RunFinding | None:
     """
     if isinstance(run.scenarios, NotMade):
         return None
-    numbered = [(i, one) for i, one in enumerate(run.scenarios) if _scored(one)]
+    numbered = [(i, one) for i, one in enumerate(run.scenarios) if scored(one)]
     if not numbered:
         return None
     number, scenario = max(numbered, key=lambda one: _telling(run, one[1]))
-    parts = _scored(scenario)
-    sentences = [
-        *_sightless(parts.values()),
-        f"{endings(scenario, run.arms)} {_meaning(run, parts)}",
-    ]
+    by_arm = scored(scenario)
+    metrics = list(by_arm.values())
+    sentences = [*_sightless(scenario), f"{endings(scenario, run.arms)} {_meaning(run, by_arm)}"]
     if len(numbered) > 1 and run.truth_arm is not None:
         sentences.extend(same_endings(run, run.scenarios, run.truth_arm))
-    metrics = [_metrics(part) for part in parts.values()]
     hits = [step for one in metrics if (step := one.collision.first_step) is not None]
     dt = metrics[0].rollout.dt
     if hits:
         step = max(min(hits) - round(_BEFORE_S / dt), 0)
         moment = f"{(min(hits) - step) * dt:g} s before the first contact"
     else:
-        nearest = min(metrics, key=lambda one: float(least_gaps(one.rollout).min()))
-        step = int(np.argmin(least_gaps(nearest.rollout)))
+        nearest = min((least_gaps(one.rollout) for one in metrics), key=lambda gaps: gaps.min())
+        step = int(np.argmin(nearest))
         moment = f"the smallest gap, {step * dt:.1f} s after the start"
-    return RunFinding(number, tuple(sentences), step, moment, _trust(run, parts))
+    return RunFinding(number, tuple(sentences), step, moment, _trust(run, scenario))
 
 
 def endings(scenario: ScenarioPart, arms: Mapping[str, str]) -> str:
@@ -76,13 +72,12 @@ def endings(scenario: ScenarioPart, arms: Mapping[str, str]) -> str:
 
     Empty without a scored rollout.
     """
-    parts = [(arm, part) for arm, part in _scored(scenario).items() if arm in arms]
     alike: dict[str, dict[str, str]] = {}
     subject = ""
-    for arm, part in parts:
-        words, number = _ending(part)
+    for arm, metrics in scored(scenario).items():
+        words, number = _ending(metrics)
         alike.setdefault(words, {})[arms[arm]] = number
-        subject = _metrics(part).planner
+        subject = metrics.planner
     told: list[str] = []
     for words, numbers in alike.items():
         several = list(numbers.values())
@@ -91,20 +86,8 @@ def endings(scenario: ScenarioPart, arms: Mapping[str, str]) -> str:
     return f"{scenario.title}: {'; '.join(told)}." if told else ""
 
 
-def _scored(scenario: ScenarioPart) -> dict[str, RolloutPart]:
-    return {
-        part.arm: part for part in scenario.rollouts if isinstance(part.metrics, RolloutMetrics)
-    }
-
-
-def _metrics(part: RolloutPart) -> RolloutMetrics:
-    assert isinstance(part.metrics, RolloutMetrics)  # `_scored` gives no others
-    return part.metrics
-
-
-def _ending(part: RolloutPart) -> tuple[str, str]:
+def _ending(metrics: RolloutMetrics) -> tuple[str, str]:
     """How a rollout ended: words with a place for a number, and the number."""
-    metrics = _metrics(part)
     rollout = metrics.rollout
     off = " and leaves the road" if metrics.drivable.first_step is not None else ""
     if metrics.contact_speed is not None:
@@ -121,33 +104,26 @@ def _ending(part: RolloutPart) -> tuple[str, str]:
     return f"comes within {{}} m of the vehicle, without contact{off}", gap
 
 
-def _same(one: RolloutPart, other: RolloutPart) -> bool:
-    """Whether two rollouts have the same verdict, over the steps that both have."""
-    a, b = over_common_steps(_metrics(one), _metrics(other))
-    return a.collision.nc.value == b.collision.nc.value
-
-
 def _telling(run: ReportInputs, scenario: ScenarioPart) -> tuple[int, float]:
-    parts = _scored(scenario)
-    covered = [part.coverage for part in parts.values() if part.coverage is not None]
+    covered = [part.coverage for part in scenario.rollouts if part.coverage is not None]
     invented = max((looked_at(one).mean.invented for one in covered), default=0.0)
-    truth = parts.pop(run.truth_arm or "", None)
+    metrics = scored(scenario)
+    truth = metrics.pop(run.truth_arm or "", None)
     if truth is not None:
-        right = {_same(part, truth) for part in parts.values()}
+        right = {one.same_verdict(truth) for one in metrics.values()}
         return 2 if len(right) == 2 else int(False in right), invented
-    first, *others = parts.values()
-    return 2 * int(not all(_same(first, other) for other in others)), invented
+    first, *others = metrics.values()
+    return 2 * int(not all(first.same_verdict(other) for other in others)), invented
 
 
-def _meaning(run: ReportInputs, parts: Mapping[str, RolloutPart]) -> str:
+def _meaning(run: ReportInputs, metrics: Mapping[str, RolloutMetrics]) -> str:
     """What the verdicts say of the vehicles."""
-    others = {arm: part for arm, part in parts.items() if arm != run.truth_arm}
-    truth = parts.get(run.truth_arm or "")
+    others = {arm: one for arm, one in metrics.items() if arm != run.truth_arm}
+    truth = metrics.get(run.truth_arm or "")
     if truth is not None and others:
-        right = [run.arms[arm] for arm, part in others.items() if _same(part, truth)]
-        wrong = [run.arms[arm] for arm, part in others.items() if not _same(part, truth)]
-        verdict = "no collision" if _metrics(truth).collision.nc.value == 1.0 else "collision"
-        if not wrong:
+        right = [run.arms[arm] for arm, one in others.items() if one.same_verdict(truth)]
+        verdict = "no collision" if truth.collision.nc.value == 1.0 else "collision"
+        if len(right) == len(others):
             return f"The verdict is the true one: {verdict}."
         if not right:
             return f"The true verdict is another one: {verdict}."
@@ -155,18 +131,15 @@ def _meaning(run: ReportInputs, parts: Mapping[str, RolloutPart]) -> str:
     if len(others) < 2:
         return ""
     first, *rest = others.values()
-    if all(_same(first, part) for part in rest):
+    if all(first.same_verdict(one) for one in rest):
         return "The verdict (collision or not) is the same with all."
     return "The verdict depends on the vehicle's looks; a recording has no truth to decide by."
 
 
-def _sightless(parts: Iterable[RolloutPart]) -> list[str]:
+def _sightless(scenario: ScenarioPart) -> list[str]:
     """A sentence on a planner that looks at no images; none of one that does."""
-    named = {
-        _metrics(part).planner
-        for part in parts
-        if part.trust is not None and part.trust.features is None
-    }
+    blind = (part for part in scenario.rollouts if part.trust and part.trust.features is None)
+    named = {part.metrics.planner for part in blind if isinstance(part.metrics, RolloutMetrics)}
     return [
         f"{planner} uses no images, so it drives alike however the vehicle looks; name a planner "
         "that does, such as gtrs-mini."
@@ -174,11 +147,9 @@ def _sightless(parts: Iterable[RolloutPart]) -> list[str]:
     ]
 
 
-def _trust(run: ReportInputs, parts: Mapping[str, RolloutPart]) -> str:
-    known = {
-        arm: part.trust
-        for arm, part in parts.items()
+def _trust(run: ReportInputs, scenario: ScenarioPart) -> str:
+    return ", ".join(
+        f"{run.arms[part.arm]} {part.trust.value:.2f}"
+        for part in scenario.rollouts
         if part.trust is not None and part.trust.features is not None
-    }
-    told = [f"{run.arms[arm]} {trust.value:.2f}" for arm, trust in known.items()]
-    return ", ".join(told)
+    )

@@ -10,7 +10,6 @@ import numpy as np
 from recast.actors.actor import Coverage
 from recast.metrics import RolloutMetrics
 from recast.metrics.plan_agreement import MOVED, PlanAgreement, read_agreement
-from recast.metrics.table import over_common_steps
 from recast.reporting.inputs import (
     ActorPart,
     NotMade,
@@ -219,19 +218,19 @@ def same_endings(
     told = []
     for arm, title in run.arms.items():
         pairs = [
-            over_common_steps(scored[arm], scored[truth])
+            metrics[arm].same_verdict(metrics[truth])
             for scenario in scenarios
-            if {arm, truth} <= (scored := _scored(scenario)).keys()
+            if {arm, truth} <= (metrics := scored(scenario)).keys()
         ]
         if arm != truth and pairs:
-            same = sum(a.collision.nc.value == b.collision.nc.value for a, b in pairs)
-            told.append(f"{same} of {len(pairs)} with {vehicles([title])}")
+            told.append(f"{sum(pairs)} of {len(pairs)} with {vehicles([title])}")
     return (
         (f"Scenarios with the true verdict (collision or not): {', '.join(told)}.",) if told else ()
     )
 
 
-def _scored(scenario: ScenarioPart) -> dict[str, RolloutMetrics]:
+def scored(scenario: ScenarioPart) -> dict[str, RolloutMetrics]:
+    """The metrics of its rollouts that have some, by arm."""
     return {
         part.arm: part.metrics
         for part in scenario.rollouts

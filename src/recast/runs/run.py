@@ -16,7 +16,6 @@ from recast.core.errors import InputError, UnreachableError, printable
 from recast.core.records import validation_error
 from recast.core.workers import use_threads
 from recast.metrics import RolloutMetrics, own_metrics, rollout_metrics
-from recast.metrics.table import over_common_steps
 from recast.planning import GTRS_MINI, make_planner
 from recast.reconstruction import SceneConfig, require_log_of
 from recast.runs.arms import Arm, default_arms
@@ -344,8 +343,7 @@ def _flipping(setting: str, artefacts: Artefacts) -> str | None:
     prepare(artefacts.setup(setting, true))
     truth = _scored(artefacts, setting, planner, true)
     for arm in noisy:
-        one, other = over_common_steps(_scored(artefacts, setting, planner, arm), truth)
-        if one.collision.nc.value != other.collision.nc.value:
+        if not _scored(artefacts, setting, planner, arm).same_verdict(truth):
             return arm.noise
     return None
 

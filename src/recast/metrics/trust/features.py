@@ -20,7 +20,6 @@ from recast.logs import DrivingLog
 from recast.metrics.driving import CAP
 from recast.metrics.oracle_views import angle_to_nearest, logged_views, view_direction
 from recast.metrics.rollout_metrics import RolloutMetrics, least_gaps
-from recast.metrics.table import over_common_steps
 from recast.simulation.rollout import Rollout
 from recast.simulation.scene_renderer import RolloutCoverage
 
@@ -273,7 +272,7 @@ def trust_features(
         reason = "the time to collision has no value" if contact is None else "the rollout collides"
         missing["least_ttc_s"] = reason
     if disturbed:
-        values["noise_flips"] = float(np.mean([_flips(metrics, one) for one in disturbed]))
+        values["noise_flips"] = float(np.mean([not metrics.same_verdict(one) for one in disturbed]))
     else:
         missing["noise_flips"] = "the arm was not driven with other noise"
     _add_shares(values, missing, coverage, steps)
@@ -296,12 +295,6 @@ def plan_changes(rollout: Rollout) -> Array:
         apart = np.linalg.norm(before - after, axis=-1)
         found.append(float(apart.mean()) if common > 0 else 0.0)
     return np.array(found)
-
-
-def _flips(one: RolloutMetrics, other: RolloutMetrics) -> bool:
-    """Whether the verdict is another one over the steps that both rollouts have."""
-    one, other = over_common_steps(one, other)
-    return one.collision.nc.value != other.collision.nc.value
 
 
 def _of_steps(coverage: RolloutCoverage, steps: Int64Array) -> Coverage:
