@@ -8,13 +8,14 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Any
+from typing import Any, cast
 
 import pytest
 from rich.console import Console
 
 import recast.runs.run as run_module
 from recast.core.errors import InputError
+from recast.metrics.rollout_metrics import RolloutMetrics
 from recast.reporting.video import read_video
 from recast.runs.arms import NOISES
 from recast.runs.config import RunConfig
@@ -115,6 +116,9 @@ class Ending:
     def over(self, steps: int) -> Ending:
         hit = self.first_collision
         return Ending(hit if hit is not None and hit <= steps else None, steps)
+
+    def same_verdict(self, other: Any) -> bool:
+        return RolloutMetrics.same_verdict(cast(Any, self), other)
 
     @property
     def collision(self) -> Any:
