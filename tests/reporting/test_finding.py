@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import pytest
 
 from recast.actors.actor import Coverage
 from recast.metrics import rollout_metrics
-from recast.metrics.trust import SIGHTLESS
+from recast.metrics.trust import SIGHTLESS, RolloutTrust, TrustFeatures
 from recast.reporting import NotMade, ReportInputs, RolloutPart, ScenarioPart
-from recast.reporting.finding import endings, finding
+from recast.reporting.finding import RunFinding, endings, finding
 from recast.reporting.summary import vehicles
 from recast.simulation.scene_renderer import ImageCoverage, RolloutCoverage
 from reporting.made_up_rollouts import cut_in, straight_map
@@ -39,6 +40,7 @@ def scenario(title: str, **brakes: float) -> ScenarioPart:
 APART = scenario("Apart", native=0.0, replaced=6.0, oracle=6.0)
 ALIKE = scenario("Alike", native=6.0, replaced=6.0, oracle=6.0)
 WRONG = scenario("Wrong", native=0.0, replaced=0.0, oracle=6.0)
+FEATURES = TrustFeatures({}, {}, 10, 20, None, None)
 
 
 def test_arms_that_end_alike_are_named_together() -> None:
@@ -108,6 +110,20 @@ def test_a_planner_without_eyes_is_told_first() -> None:
     found = finding(run(replace(ALIKE, rollouts=blind), truth=None))
     assert found is not None and "uses no images" in found.sentences[0]
     assert found.trust == ""
+
+
+def test_trust_is_never_told_as_certain_and_says_that_it_is_provisional(tmp_path: Path) -> None:
+    values = {"native": 0.993, "replaced": 0.714}
+    judged = [
+        replace(one, trust=RolloutTrust(values[one.arm], "", {}, FEATURES, True))
+        for one in ALIKE.rollouts[:2]
+    ]
+    found = finding(run(replace(ALIKE, rollouts=tuple(judged)), truth=None))
+    assert found is not None and found.provisional
+    assert found.trust == "reconstructed vehicle over 0.99, replaced vehicle 0.71"
+    found.write(tmp_path)
+    assert RunFinding.read(tmp_path) == found
+    assert RunFinding.read(tmp_path / "other") is None
 
 
 def test_a_run_without_rollouts_has_no_finding() -> None:

@@ -3,20 +3,33 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
+from pathlib import Path
 
 import numpy as np
 
+from recast.core.files import read_json, write_json
 from recast.dynamics import state as ego
 from recast.metrics import RolloutMetrics
 from recast.metrics.rollout_metrics import least_gaps
 from recast.reporting.inputs import NotMade, ReportInputs, ScenarioPart
-from recast.reporting.summary import listed, looked_at, same_endings, scored, vehicles
+from recast.reporting.summary import (
+    listed,
+    looked_at,
+    same_endings,
+    scored,
+    trust_figure,
+    vehicles,
+)
 
 _STANDING = 0.5
 """Speed in m/s below which the ego stands."""
 _BEFORE_S = 1.0
 """Seconds before the first contact at which the vehicle is shown: nearer, it fills the image."""
+
+
+FINDING_FILE = "finding.json"
+"""`RunFinding` in the report's folder, for terminals and scripts."""
 
 
 @dataclass(frozen=True)
@@ -29,6 +42,7 @@ class RunFinding:
         step: step of the rollouts at which to look.
         moment: the moment in words.
         trust: trust in each verdict, in words; empty if it is not known.
+        provisional: whether the trust comes from a calibration on few scenes.
     """
 
     scenario: int
@@ -36,6 +50,20 @@ class RunFinding:
     step: int
     moment: str
     trust: str
+    provisional: bool
+
+    def write(self, report: Path) -> None:
+        """Write `FINDING_FILE` into the folder of a report."""
+        write_json(report / FINDING_FILE, asdict(self))
+
+    @classmethod
+    def read(cls, report: Path) -> RunFinding | None:
+        """The finding of a report that this version wrote; None if the run had none."""
+        path = report / FINDING_FILE
+        if not path.is_file():
+            return None
+        told = read_json(path)
+        return cls(**{**told, "sentences": tuple(told["sentences"])})
 
 
 def finding(run: ReportInputs) -> RunFinding | None:
@@ -64,7 +92,8 @@ def finding(run: ReportInputs) -> RunFinding | None:
         nearest = min((least_gaps(one.rollout) for one in metrics), key=lambda gaps: gaps.min())
         step = int(np.argmin(nearest))
         moment = f"the smallest gap, {step * dt:.1f} s after the start"
-    return RunFinding(number, tuple(sentences), step, moment, _trust(run, scenario))
+    trust, provisional = _trust(run, scenario)
+    return RunFinding(number, tuple(sentences), step, moment, trust, provisional)
 
 
 def endings(scenario: ScenarioPart, arms: Mapping[str, str]) -> str:
@@ -147,9 +176,12 @@ def _sightless(scenario: ScenarioPart) -> list[str]:
     ]
 
 
-def _trust(run: ReportInputs, scenario: ScenarioPart) -> str:
-    return ", ".join(
-        f"{run.arms[part.arm]} {part.trust.value:.2f}"
+def _trust(run: ReportInputs, scenario: ScenarioPart) -> tuple[str, bool]:
+    """Trust in each verdict of a planner that looks, and whether it is provisional."""
+    judged = {
+        run.arms[part.arm]: part.trust
         for part in scenario.rollouts
         if part.trust is not None and part.trust.features is not None
-    )
+    }
+    words = ", ".join(f"{arm} {trust_figure(trust.value)}" for arm, trust in judged.items())
+    return words, any(trust.provisional for trust in judged.values())

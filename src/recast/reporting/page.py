@@ -23,7 +23,7 @@ from recast.core.files import atomic_folder, disk_errors, write_text
 from recast.core.images import decode_image, eight_bits, opened
 from recast.reporting import drawing, tables
 from recast.reporting.inputs import NotMade, Picture
-from recast.reporting.summary import coverage_note
+from recast.reporting.summary import coverage_note, trust_figure
 from recast.reporting.video import iterate_video, side_by_side, write_video
 
 _QUALITY = 92  # of JPEG; with full colour resolution, about 40 dB on rendered images
@@ -224,6 +224,7 @@ def render_template(name: str, **values: object) -> str:
     environment.tests["missing"] = lambda value: isinstance(value, NotMade)
     environment.filters["arm_colour"] = lambda i: drawing.css(drawing.arm_colour(i))
     environment.filters["coverage_note"] = coverage_note
+    environment.filters["trust_figure"] = trust_figure
     loader = environment.loader
     assert loader is not None
 

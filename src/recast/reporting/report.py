@@ -222,6 +222,7 @@ def _render(run: ReportInputs, assets: PageAssets) -> str:
     pictures: list[tuple[str, Media | NotMade]] = []
     shares = None
     if found is not None and not isinstance(run.scenarios, NotMade):
+        found.write(assets.folder)
         shares = _shares(run.scenarios[found.scenario])
         pictures = moment_pictures(run, run.scenarios[found.scenario].rollouts, found.step, assets)
     return render_template(

@@ -307,10 +307,15 @@ def coverage_note(line: CoverageLine) -> str:
     )
 
 
+def trust_figure(value: float) -> str:
+    """Trust in two digits; no calibration on some hundred rollouts tells 0.99 from certainty."""
+    return "over 0.99" if value > 0.99 else f"{value:.2f}"
+
+
 def trust_note(part: RolloutPart, arms: Mapping[str, str]) -> str:
     """How far to trust the verdict of a rollout that was judged."""
     assert part.trust is not None
-    return f"Trust in the verdict with the {arms[part.arm]}: {part.trust.value:.2f}. " + (
+    return f"Trust in the verdict with the {arms[part.arm]}: {trust_figure(part.trust.value)}. " + (
         part.trust.words
     )
 
@@ -441,9 +446,9 @@ def _trust(scenarios: Sequence[ScenarioPart]) -> tuple[Check, ...]:
     if not trusts:
         return ()
     values = [one.value for one in trusts]
-    text = f"{min(values):.2f}"
+    text = trust_figure(min(values))
     if len(values) > 1:
-        text += f" to {max(values):.2f} by rollout"
+        text += f" to {trust_figure(max(values))} by rollout"
     wanted = "near 1; see Rollouts"
     if any(one.provisional for one in trusts):
         wanted += ". The calibration is provisional"

@@ -18,6 +18,7 @@ from recast.core.workers import use_threads
 from recast.metrics import RolloutMetrics, own_metrics, rollout_metrics
 from recast.planning import GTRS_MINI, make_planner
 from recast.reconstruction import SceneConfig, require_log_of
+from recast.reporting.finding import RunFinding
 from recast.runs.arms import Arm, default_arms
 from recast.runs.artefacts import Artefacts
 from recast.runs.config import RunConfig
@@ -147,6 +148,9 @@ class _Run:
             self._console.print(table)
         for line in failure_lines(metrics["failures"]):
             self._console.print(printable(line), markup=False, highlight=False, style="red")
+        found = RunFinding.read(path / REPORT_FOLDER)
+        for sentence in () if found is None else found.sentences:
+            self._console.print(sentence, markup=False, highlight=False)
         page = path / REPORT_FOLDER / "index.html"
         self._console.print(f"report: {page}", markup=False)
         return page
