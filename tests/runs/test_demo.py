@@ -21,10 +21,11 @@ from recast.runs.arms import NOISES
 from recast.runs.config import RunConfig
 from recast.runs.run import DemoSize, decided, demo
 from recast.runs.sources import drive_log
+from recast.simulation import parse_motions
 from recast.synthetic import make_world
 
 SCENE = "urban-straight"
-TINY = DemoSize(2.0, 192, 128, ("front",), 40, ("cut-in",), 10, "idm-follower")
+TINY = DemoSize(2.0, 192, 128, ("front",), 40, parse_motions("cut-in"), 10, "idm-follower")
 
 
 def run(out: Path, scene: str = SCENE, seed: int = 1, size: DemoSize = TINY) -> Path:

@@ -206,6 +206,10 @@ class Registry:
         """
         return source_files(self._path(name))
 
+    def is_own(self, name: str) -> bool:
+        """Whether a name is that of a part of recast's own."""
+        return name in self.names() and not self.source_files(name)
+
     def source(self, name: str) -> str:
         """What stands for a part in keys of artefacts.
 

@@ -162,7 +162,7 @@ def submit(
     executor: ProcessPoolExecutor, function: Callable[..., Outcome], *arguments: Any
 ) -> Future[Outcome]:
     """Hand out a call; a process that is started for it will compute on one thread."""
-    with _one_thread_in_children():
+    with one_thread_in_children():
         return executor.submit(function, *arguments)
 
 
@@ -226,7 +226,7 @@ def _one_thread() -> Iterator[None]:
     if torch:
         torch.set_num_threads(1)
     try:
-        with _one_thread_in_children():  # read by torch too if it is imported meanwhile
+        with one_thread_in_children():  # read by torch too if it is imported meanwhile
             yield
     finally:
         if torch := sys.modules.get("torch"):
@@ -234,7 +234,7 @@ def _one_thread() -> Iterator[None]:
 
 
 @contextmanager
-def _one_thread_in_children() -> Iterator[None]:
+def one_thread_in_children() -> Iterator[None]:
     """Libraries that are loaded meanwhile, here or in a new process, compute on one thread."""
     before = {name: os.environ.get(name) for name in _THREAD_SETTINGS}
     os.environ.update(dict.fromkeys(_THREAD_SETTINGS, "1"))

@@ -127,21 +127,27 @@ class Artefacts:
         Args:
             further: also what only a report shows: turntable, and comparison with the truth.
         """
-        config = self.config
-        made = arm.reconstructs or arm.generates
-        if not made or not any(self.looks(planner) for planner in config.planners):
+        if not self.shows(arm):
             return
-        self.scene(arm)
-        self.evaluation(arm)
+        self.prepare_street(arm)
         if not arm.generates:
             return
-        tracks = [track for motion in config.motions for track in self.replaced_tracks(motion)]
-        for track in dict.fromkeys(tracks):
+        for track in self.tracks():
             self.actor(arm, track)
         if further:
-            self.turntable(arm, config.track)
-            if truth_of(config.arms) is not None:
+            self.turntable(arm, self.config.track)
+            if truth_of(self.config.arms) is not None:
                 self.truth(arm)
+
+    def shows(self, arm: Arm) -> bool:
+        """Whether anything of an arm that was made is rendered."""
+        made = arm.reconstructs or arm.generates
+        return made and any(self.looks(planner) for planner in self.config.planners)
+
+    def prepare_street(self, arm: Arm) -> None:
+        """Make the street of an arm, and score it."""
+        self.scene(arm)
+        self.evaluation(arm)
 
     def scene(self, arm: Arm) -> Artefact:
         """The reconstruction of an arm's street, or the one that its vehicle is made in."""
@@ -232,6 +238,11 @@ class Artefacts:
             return {"street": self.scene(arm).reference, **given}
         light = {"lit_by": self.scene(arm).reference} if arm.generates else {}
         return {"street": "truth", **light, **given}
+
+    def tracks(self) -> tuple[str, ...]:
+        """All tracks whose vehicles some scenario wants replaced."""
+        motions = self.config.motions
+        return tuple(dict.fromkeys(t for name in motions for t in self.replaced_tracks(name)))
 
     def replaced_tracks(self, motion: str) -> tuple[str, ...]:
         """The target, and further actors of a scenario whose vehicles are to be replaced too."""

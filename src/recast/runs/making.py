@@ -8,7 +8,7 @@ from __future__ import annotations
 import os
 import shutil
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -42,6 +42,8 @@ class Maker:
 
     store: Store
     console: Console
+    elsewhere: dict[str, str] = field(default_factory=dict)
+    """What another process said while it made an artefact, by reference; told when it is used."""
 
     def make(
         self,
@@ -66,7 +68,10 @@ class Maker:
             resumes=resumes,
             waits=lambda: self._say(f"{escape(title)}: another process is making it"),
         )
-        if not found.fresh:
+        told = self.elsewhere.pop(found.reference, "")
+        if told:
+            self.console.print(told, markup=False, highlight=False, end="")
+        elif not found.fresh:
             self._say(f"{escape(title)}: found in the store")
         return found
 

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+import io
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, replace
 from itertools import product
 from pathlib import Path
+from typing import Any
 
 from pydantic import ValidationError
 from rich.console import Console
@@ -13,12 +15,14 @@ from rich.console import Console
 from recast.actors import DEFAULT_GENERATOR, make_generator
 from recast.core import Artefact, files, open_store, value_hash
 from recast.core.errors import InputError, UnreachableError, printable
+from recast.core.plugins import PLANNERS
 from recast.core.records import validation_error
-from recast.core.workers import use_threads
+from recast.core.workers import usable_cores, use_threads, worker_pool
 from recast.metrics import RolloutMetrics, own_metrics, rollout_metrics
 from recast.planning import GTRS_MINI, make_planner
 from recast.reconstruction import SceneConfig, require_log_of
 from recast.reporting.finding import RunFinding
+from recast.runs.ahead import Ahead
 from recast.runs.arms import Arm, default_arms
 from recast.runs.artefacts import Artefacts
 from recast.runs.config import RunConfig
@@ -36,9 +40,18 @@ from recast.runs.run_folder import (
 from recast.runs.scores import RunTrust, read_metrics, write_metrics
 from recast.runs.sources import RECIPES, SourceLog, Sources, drive_log, require_track
 from recast.runs.view import view_inputs
-from recast.simulation import RolloutFailure, parse_motions, prepare, scenario_name
+from recast.simulation import (
+    MOTIONS,
+    RolloutFailure,
+    ScriptedMotion,
+    Stationary,
+    parse_motions,
+    prepare,
+    scenario_name,
+    scenario_record,
+)
 from recast.simulation.renderer import make_restorer
-from recast.synthetic import make_world
+from recast.synthetic import World, make_world
 from recast.synthetic.rendering import require_embree
 from recast.viewer import require_viser, write_replay
 
@@ -52,6 +65,7 @@ def run(
     config: RunConfig,
     console: Console,
     store: str | Path | None = None,
+    world: World | None = None,
 ) -> Path:
     """Do the whole job and return the report's `index.html`.
 
@@ -59,6 +73,7 @@ def run(
         log_path: log folder, or its address in object storage.
         out: run folder; one that holds this run already is resumed.
         store: folder or address of the artefacts; beside `out` where none is named.
+        world: what a synthetic log was made from, if it is at hand.
 
     Raises:
         InputError: bad log, track, planner, generator or segmenter, a camera that the planner wants
@@ -66,7 +81,7 @@ def run(
     """
     out = Path(out)
     place = str(out.absolute().parent / STORE_FOLDER if store is None else store)
-    source = SourceLog.open(log_path)
+    source = SourceLog.open(log_path, world)
     # What cannot work is refused before anything is written and before minutes of training.
     require_track(source.log, source.path, config.track)
     if config.scene_folder is not None:
@@ -92,14 +107,17 @@ def run(
     )
     with files.alone_in(folder.path):
         try:
-            return _Run(artefacts, folder, console).finish()
+            return _Run(artefacts, folder, place, console).finish()
         finally:
             artefacts.close()
 
 
 class _Run:
-    def __init__(self, artefacts: Artefacts, folder: RunFolder, console: Console) -> None:
+    def __init__(
+        self, artefacts: Artefacts, folder: RunFolder, store: str, console: Console
+    ) -> None:
         self._artefacts, self._folder, self._console = artefacts, folder, console
+        self._store = store
         self._config = artefacts.config
 
     def finish(self) -> Path:
@@ -107,16 +125,42 @@ class _Run:
         artefacts = self._artefacts
         artefacts.on_use = lambda: self._folder.refer(artefacts.store, artefacts.used)
         self._announce()
-        for arm in artefacts.arms.values():
-            artefacts.prepare(arm)
-        artefacts.forget_makers()
-        motions, planners = self._config.motions, self._config.planners
-        for motion, planner, arm in product(motions, planners, artefacts.arms.values()):
-            artefacts.rollout(motion, planner, arm)
-        for planner in planners:
-            self._agreement(planner)
+        with Ahead(artefacts, self._store) as ahead:
+            self._make(ahead)
         self._folder.refer(artefacts.store, artefacts.used, whole=True)
         return self._report()
+
+    def _make(self, ahead: Ahead) -> None:
+        """Streets, vehicles and rollouts: each as soon as what it needs is there."""
+        artefacts, arms = self._artefacts, list(self._artefacts.arms.values())
+        shown = [arm for arm in arms if artefacts.shows(arm)]
+        generating = [arm for arm in shown if arm.generates]
+        for arm in generating:
+            ahead.vehicles(arm)
+        for arm in arms:
+            if arm not in shown:
+                ahead.rollouts(arm)
+        for arm in shown:
+            artefacts.prepare_street(arm)
+        for arm in shown:
+            if arm not in generating:
+                ahead.rollouts(arm)
+        ahead.finish("registered")
+        for arm in generating:
+            artefacts.prepare(arm, further=False)
+            ahead.rollouts(arm)
+            ahead.truth(arm)
+        for arm in generating:
+            artefacts.turntable(arm, self._config.track)
+        artefacts.forget_makers()
+        for planner in self._config.planners:
+            self._agreement(planner)
+        ahead.finish("rollout")
+        ahead.finish("truth")
+        for arm in generating:
+            artefacts.prepare(arm)
+        for motion, planner, arm in product(self._config.motions, self._config.planners, arms):
+            artefacts.rollout(motion, planner, arm)
 
     def _agreement(self, planner: str) -> None:
         """Compare the planner's plans with those on the recorded images, where that can be done;
@@ -210,7 +254,8 @@ class DemoSize:
 
     Attributes:
         cameras: names of the recorded cameras; empty for all cameras of the rig.
-        motions: each is driven in one setting, see `decided`.
+        every: frames of 0.1 s from one that is recorded to the next.
+        motions: settings of motions; of each motion one is driven, see `decided`.
     """
 
     seconds: float
@@ -218,14 +263,20 @@ class DemoSize:
     height: int
     cameras: tuple[str, ...]
     iterations: int
-    motions: tuple[str, ...]
+    motions: tuple[ScriptedMotion, ...]
     steps: int
     planner: str
+    every: int = 1
 
 
-FULL = DemoSize(8.0, 384, 256, (), 2000, ("cut-in", "oncoming", "stationary"), 50, GTRS_MINI)
-# One camera is not enough for a planner that looks.
-QUICK = DemoSize(3.0, 192, 128, ("front",), 500, ("cut-in",), 20, "idm-follower")
+# So near that what the planner sees decides: 1 m or 4 m beyond where braking with 3.75 m/s2 ends.
+_AT_1_M = Stationary("1-m", min_gap=8.0, braking=7.5, reserve=1.0)
+_AT_4_M = replace(_AT_1_M, setting="4-m", reserve=4.0)
+_MOTIONS = (*parse_motions("cut-in"), *parse_motions("oncoming"), _AT_1_M)
+_AHEAD = ("front_left", "front", "front_right")
+
+FULL = DemoSize(8.0, 384, 256, (), 2000, _MOTIONS, 50, GTRS_MINI)
+QUICK = DemoSize(5.0, 264, 176, _AHEAD, 400, (_AT_4_M,), 45, GTRS_MINI, every=2)
 
 
 def demo(
@@ -257,10 +308,14 @@ def demo(
     """
     require_embree()  # the truth is ray-traced, and so is the log
     world = make_world(scene, seed, size.seconds)
+    motions = {scenario_name(motion): motion for motion in size.motions}
     try:
         config = RunConfig(
             track=world.target,
-            motions=tuple(scenario_name(m) for name in size.motions for m in parse_motions(name)),
+            motions=tuple(motions),
+            own_motions={
+                name: scenario_record(m) for name, m in motions.items() if name not in MOTIONS
+            },
             arms=(*default_arms(), Arm.oracle()),
             planners=(planner or size.planner,),
             generator=generator,
@@ -277,11 +332,11 @@ def demo(
     with files.disk_errors(out):
         out.mkdir(parents=True, exist_ok=True)
     with files.alone_in(out):
-        log = drive_log(
-            world, out / LOG_FOLDER, (size.width, size.height), size.cameras, threads, console
-        )
-        motions = decided(log, out / STORE_FOLDER, config, console)
-        return run(log, out / RUN_FOLDER, config.model_copy(update={"motions": motions}), console)
+        pixels = (size.width, size.height)
+        log = drive_log(world, out / LOG_FOLDER, pixels, size.cameras, threads, console, size.every)
+        chosen = decided(log, out / STORE_FOLDER, config, console)
+        config = config.model_copy(update={"motions": chosen})
+        return run(log, out / RUN_FOLDER, config, console, world=world)
 
 
 def decided(log: Path, store: Path, config: RunConfig, console: Console) -> tuple[str, ...]:
@@ -289,7 +344,7 @@ def decided(log: Path, store: Path, config: RunConfig, console: Console) -> tupl
 
     Of the settings of a motion, in their order, it is the first in which the truth, undisturbed and
     under each disturbance, always ends in a collision or never does. Where there is none, it is the
-    first one that can be driven, and `console` says so.
+    first one that can be driven, and `console` says so. A motion with one setting is not tried.
 
     Args:
         log: log folder of a synthetic drive.
@@ -304,16 +359,38 @@ def decided(log: Path, store: Path, config: RunConfig, console: Console) -> tupl
     truth = Arm.oracle()
     arms = (truth, *map(truth.disturbed, truth.noises))
     trial = config.model_copy(update={"arms": arms, "films": False})
-    source = SourceLog.open(log)
+    several = {motion: names for motion, names in settings.items() if len(names) > 1}
+    jobs = iter(several.items())
+    threads = min(config.threads or usable_cores(), usable_cores())
+    workers = min(threads, len(several)) if PLANNERS.is_own(trial.planners[0]) else 1
+    given = (log, store, trial.model_dump(mode="json"), console.width)
+    chosen = {motion: names[0] for motion, names in settings.items()}
+    with console.status("choosing scenarios whose true verdict does not hang on noise"):
+        pool = worker_pool(max(workers, 1))
+        for (motion, _), (name, told) in pool(
+            _start_deciding, given, lambda: next(jobs, None), "finished rollouts"
+        ):
+            chosen[motion] = name
+            console.print(told, markup=False, highlight=False, end="")
+    return tuple(chosen.values())
+
+
+def _start_deciding(
+    number: int, log: Path, store: Path, trial: dict[str, Any], width: int
+) -> Callable[[tuple[str, Sequence[str]]], tuple[str, str]]:
+    """What chooses the setting of one motion, and what it says meanwhile."""
+    del number
+    config, source = RunConfig.model_validate(trial), SourceLog.open(log)
     name = source.log.name
-    sources = Sources.of(trial, name)
+    sources, console = Sources.of(config, name), Console(width=width, force_terminal=False)
     opened = open_store(str(store))
-    artefacts = Artefacts(opened, source, trial, sources, console, name, config.threads)
-    use_threads(config.threads)
-    try:
-        return tuple(_decided(names, artefacts, console) for names in settings.values())
-    finally:
-        artefacts.close()
+    artefacts = Artefacts(opened, source, config, sources, console, name, oracle_workers=1)
+
+    def decide(settings: tuple[str, Sequence[str]]) -> tuple[str, str]:
+        console.file = told = io.StringIO()
+        return _decided(settings[1], artefacts, console), told.getvalue()
+
+    return decide
 
 
 def _decided(settings: Sequence[str], artefacts: Artefacts, console: Console) -> str:
@@ -328,11 +405,11 @@ def _decided(settings: Sequence[str], artefacts: Artefacts, console: Console) ->
         if flipping is None:
             return setting
         text = f"{setting}: the noise {flipping!r} changes the verdict of the truth"
-        console.print(text, markup=False, style="yellow")
+        console.print(text, markup=False)
     possible = [setting for setting in settings if setting not in refusals]
     if not possible:
         raise next(iter(refusals.values()))
-    console.print(f"{possible[0]} is used anyway", markup=False, style="yellow")
+    console.print(f"{possible[0]} is used anyway", markup=False)
     return possible[0]
 
 

@@ -56,19 +56,26 @@ class SourceLog:
 
     Attributes:
         address: address of the log, if that is another place than the folder, which holds a copy.
+        made_from: the world of a synthetic log, where it was at hand.
     """
 
     path: Path
     log: DrivingLog
     hash: str
     address: str | None = None
+    made_from: World | None = None
 
     @classmethod
-    def open(cls, place: str | Path) -> SourceLog:
-        """Read a log folder, here or in object storage; InputError: see `load_log`."""
+    def open(cls, place: str | Path, world: World | None = None) -> SourceLog:
+        """Read a log folder, here or in object storage; InputError: see `load_log`.
+
+        Args:
+            world: what a synthetic log was made from, if it is at hand.
+        """
         path = local_folder(place)
         remote = remote_path(place) is not None
-        return cls(path, read_log(path), folder_hash(path), str(place) if remote else None)
+        address = str(place) if remote else None
+        return cls(path, read_log(path), folder_hash(path), address, world)
 
     @cached_property
     def map(self) -> HdMap:
@@ -83,7 +90,7 @@ class SourceLog:
             InputError: it is a recorded log, or no ray tracer is installed.
         """
         require_embree()
-        return world_of(self.log)
+        return self.made_from or world_of(self.log)
 
 
 def require_track(log: DrivingLog, path: Path, track: str) -> None:
