@@ -28,7 +28,7 @@ PORTABLE := tests/geometry tests/cameras tests/dynamics tests/metrics tests/spla
 TESTS ?=
 
 SIZES := src/recast bridges/src/recast_bridges tools/src/recast_tools tests
-.PHONY: sizes help setup asam demo test test-whole test-all test-portable $(LEVELS:%=test-at-%) lint types contracts docs unit recipes fuzz bench wheel clean
+.PHONY: sizes help setup asam demo readme test test-whole test-all test-portable $(LEVELS:%=test-at-%) lint types contracts docs unit recipes fuzz bench wheel clean
 
 help:
 	@echo "make setup          install into $(VENV)"
@@ -46,6 +46,7 @@ help:
 	@echo "make recipes        accept the code of all steps, after RECIPES were raised"
 	@echo "make fuzz           100,000 damaged files for every reader; resumes"
 	@echo "make bench          benchmarks of rasterizer, ray tracer and image-to-3D model"
+	@echo "make readme         compare README's figures with those of the demo, made here"
 	@echo "make wheel          wheels of recast-sim and recast-bridges, in dist/"
 	@echo "make asam           ASAM's checkers, which some tests need, into $(ASAM)"
 	@echo "make sizes          lines, files and median of each package"
@@ -83,6 +84,9 @@ $(ASAM)/.ready: tests/asam-requirements.txt
 
 demo: setup
 	$(BIN)/recast demo
+
+readme: demo
+	$(BIN)/python benchmarks/readme.py runs/demo/run
 
 test: lint types contracts docs unit
 

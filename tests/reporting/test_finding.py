@@ -13,6 +13,7 @@ from recast.metrics.trust import SIGHTLESS, RolloutTrust, TrustFeatures
 from recast.reporting import NotMade, ReportInputs, RolloutPart, ScenarioPart
 from recast.reporting.finding import RunFinding, endings, finding
 from recast.reporting.summary import vehicles
+from recast.simulation import Rollout
 from recast.simulation.scene_renderer import ImageCoverage, RolloutCoverage
 from reporting.made_up_rollouts import cut_in, straight_map
 
@@ -64,7 +65,7 @@ def test_the_scenario_that_depends_on_the_vehicle_tells_most() -> None:
     found = finding(run(ALIKE, WRONG, APART))
     assert found is not None and found.scenario == 2
     assert (
-        "The true verdict, no collision, comes with the replaced vehicle alone."
+        "Of the two, only the replaced vehicle gives the true verdict: no collision."
         in (found.sentences[0])
     )
     assert found.sentences[1] == (
@@ -74,7 +75,22 @@ def test_the_scenario_that_depends_on_the_vehicle_tells_most() -> None:
     metrics = APART.rollouts[0].metrics
     assert not isinstance(metrics, NotMade) and metrics.collision.first_step is not None
     assert found.step == metrics.collision.first_step - 10
-    assert found.moment == "1 s before the first contact"
+    assert found.moment == "1 s before the contact with the reconstructed vehicle"
+
+
+def test_the_moment_is_one_at_which_a_camera_shows_the_vehicle_with_every_arm() -> None:
+    native, replaced, oracle = APART.rollouts
+    assert isinstance(replaced.rollout, Rollout)
+    turned = replaced.rollout.ego.copy()
+    turned[8:, 2] += 0.5  # from step 8 on, it steers past
+    drive = Rollout(**{**vars(replaced.rollout), "ego": turned})
+    passing = replace(replaced, rollout=drive, metrics=rollout_metrics(drive, straight_map()))
+    found = finding(run(replace(APART, rollouts=(native, passing, oracle))))
+    assert found is not None and found.step == 7
+    hit = native.metrics
+    assert not isinstance(hit, NotMade) and hit.collision.first_step is not None
+    before = f"{(hit.collision.first_step - 7) / 10:g} s before the contact"
+    assert found.moment == f"{before} with the reconstructed vehicle"
 
 
 @pytest.mark.parametrize(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
@@ -26,6 +26,8 @@ _STANDING = 0.5
 """Speed in m/s below which the ego stands."""
 _BEFORE_S = 1.0
 """Seconds before the first contact at which the vehicle is shown: nearer, it fills the image."""
+_IN_VIEW = 0.3
+"""Radians between directions to the vehicle that one camera shows well."""
 
 
 FINDING_FILE = "finding.json"
@@ -86,14 +88,33 @@ def finding(run: ReportInputs) -> RunFinding | None:
     hits = [step for one in metrics if (step := one.collision.first_step) is not None]
     dt = metrics[0].rollout.dt
     if hits:
-        step = max(min(hits) - round(_BEFORE_S / dt), 0)
-        moment = f"{(min(hits) - step) * dt:g} s before the first contact"
+        step = _beside(metrics, max(min(hits) - round(_BEFORE_S / dt), 0))
+        first = [arm for arm, one in by_arm.items() if one.collision.first_step == min(hits)]
+        whose = vehicles([run.arms[arm] for arm in first])
+        moment = f"{(min(hits) - step) * dt:g} s before the contact with {whose}"
     else:
         nearest = min((least_gaps(one.rollout) for one in metrics), key=lambda gaps: gaps.min())
-        step = int(np.argmin(nearest))
-        moment = f"the smallest gap, {step * dt:.1f} s after the start"
+        step = _beside(metrics, int(np.argmin(nearest)))
+        passed = "" if step == int(np.argmin(nearest)) else "before "
+        moment = f"{passed}the smallest gap, {step * dt:.1f} s after the start"
     trust, provisional = _trust(run, scenario)
     return RunFinding(number, tuple(sentences), step, moment, trust, provisional)
+
+
+def _beside(metrics: Sequence[RolloutMetrics], latest: int) -> int:
+    """The last step until `latest` at which one camera shows the vehicle in every rollout.
+
+    Later, one ego may have steered past it while another drives towards it.
+    """
+    bearings = []
+    for one in metrics:
+        ego_states, actor = one.rollout.ego, one.rollout.actor
+        steps = np.minimum(np.arange(latest + 1), one.rollout.steps_run)
+        x, y = (actor[steps, :2] - ego_states[steps, :2]).T
+        bearings.append(np.exp(1j * (np.arctan2(y, x) - ego_states[steps, ego.HEADING])))
+    apart = [np.abs(np.angle(one / bearings[0])) for one in bearings]
+    near = np.flatnonzero(np.max(apart, axis=0) < _IN_VIEW)
+    return int(near[-1]) if len(near) else latest
 
 
 def endings(scenario: ScenarioPart, arms: Mapping[str, str]) -> str:
@@ -156,7 +177,9 @@ def _meaning(run: ReportInputs, metrics: Mapping[str, RolloutMetrics]) -> str:
             return f"The verdict is the true one: {verdict}."
         if not right:
             return f"The true verdict is another one: {verdict}."
-        return f"The true verdict, {verdict}, comes with {vehicles(right)} alone."
+        few = "Of the two, only" if len(others) == 2 else "Only"
+        gives = "gives" if len(right) == 1 else "give"
+        return f"{few} {vehicles(right)} {gives} the true verdict: {verdict}."
     if len(others) < 2:
         return ""
     first, *rest = others.values()

@@ -190,6 +190,13 @@ def _joined(
     return camera, assets.joined_film(f"{camera}-side-by-side", films, pool)
 
 
+_SUBTITLES = {
+    "native": "from the log's images alone",
+    "replaced": "completed by recast from the log's images",
+    "oracle": "ground truth of the synthetic street",
+}
+
+
 def write_report(run: ReportInputs, out: str | Path) -> Path:
     """Write the report folder and return its `index.html`.
 
@@ -230,6 +237,7 @@ def _render(run: ReportInputs, assets: PageAssets) -> str:
         run=run,
         finding=found,
         pictures=pictures,
+        subtitles={run.arms[arm]: text for arm, text in _SUBTITLES.items() if arm in run.arms},
         shares=shares,
         replay=assets.page("replay", run.replay) if isinstance(run.replay, Path) else run.replay,
         headline=summary.headline(run),

@@ -177,7 +177,8 @@ class GatheredRun:
         street = next((arm for arm in config.arms if not arm.is_truth), None)
         showcase, views = self._truth(shown, arms, truth)
         return ReportInputs(
-            title=f"{self.log.tracks[config.track].category} {config.track} of {self.log.name}",
+            title=f"What if {self.log.tracks[config.track].category} {config.track} of "
+            f"{self.log.name} had moved otherwise?",
             log=self.log.name,
             arms=arms,
             truth_arm=truth,
