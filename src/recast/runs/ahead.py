@@ -41,10 +41,11 @@ class Ahead(Closing):
     Args:
         artefacts: those of the run.
         store: place of their store.
+        needed: False for a run that was finished before, whose artefacts are all there.
     """
 
-    def __init__(self, artefacts: Artefacts, store: str) -> None:
-        self._artefacts, self._store = artefacts, store
+    def __init__(self, artefacts: Artefacts, store: str, needed: bool = True) -> None:
+        self._artefacts, self._store, self._needed = artefacts, store, needed
         threads = artefacts.config.threads or usable_cores()
         self._threads = threads - 1 if threads > 1 and usable_cores() > 1 else 0
         self._begun: list[tuple[str, ...]] = []
@@ -103,6 +104,9 @@ class Ahead(Closing):
         if self._pipe is None:
             if self._begun:  # it was killed
                 return
+            use_threads(self._threads)
+            if not self._needed:
+                return
             self._start()
         assert self._pipe is not None
         self._begun.append(job)
@@ -121,7 +125,6 @@ class Ahead(Closing):
             process.start()
         theirs.close()
         self._process = process
-        use_threads(self._threads)
 
 
 def _serve(

@@ -34,6 +34,7 @@ from recast.runs.run_folder import (
     METRICS_FILE,
     REPLAY_FILE,
     REPORT_FOLDER,
+    RUN_FILE,
     STORE_FOLDER,
     RunFolder,
 )
@@ -125,7 +126,8 @@ class _Run:
         artefacts = self._artefacts
         artefacts.on_use = lambda: self._folder.refer(artefacts.store, artefacts.used)
         self._announce()
-        with Ahead(artefacts, self._store) as ahead:
+        needed = REPORT_FOLDER not in self._folder.record.finished
+        with Ahead(artefacts, self._store, needed) as ahead:
             self._make(ahead)
         self._folder.refer(artefacts.store, artefacts.used, whole=True)
         return self._report()
@@ -334,9 +336,20 @@ def demo(
     with files.alone_in(out):
         pixels = (size.width, size.height)
         log = drive_log(world, out / LOG_FOLDER, pixels, size.cameras, threads, console, size.every)
-        chosen = decided(log, out / STORE_FOLDER, config, console)
+        chosen = _before(out / RUN_FOLDER, config)
+        chosen = chosen or decided(log, out / STORE_FOLDER, config, console)
         config = config.model_copy(update={"motions": chosen})
         return run(log, out / RUN_FOLDER, config, console, world=world)
+
+
+def _before(folder: Path, config: RunConfig) -> tuple[str, ...]:
+    """The scenarios that an earlier try of the same demo chose; none without one."""
+    if not (folder / RUN_FILE).exists():
+        return ()
+    earlier = RunFolder.open(folder).config
+    everything = {"motions": config.motions, "own_motions": config.own_motions}
+    same = earlier.model_copy(update=everything) == config
+    return earlier.motions if same else ()
 
 
 def decided(log: Path, store: Path, config: RunConfig, console: Console) -> tuple[str, ...]:
