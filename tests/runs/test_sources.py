@@ -149,15 +149,17 @@ def test_a_run_makes_again_what_was_edited_and_what_follows(
         assert made >= OWN
         return made - OWN
 
-    idm = rollouts("idm-follower")
-    assert other("planner", "--motion", "advancing-a") == idm
+    idm, follower = rollouts("idm-follower"), ("--planner", "idm-follower")
+    assert other("planner", "--motion", "advancing-a", *follower) == idm
     assert other("both", *asked, "--planner", "idm-follower") == set()
     motions = rollouts("idm-follower", "advancing-b")
-    assert other("motion", "--motion", "advancing-a", "--motion", "advancing-b") == motions
-    assert other("track", "--motion", "advancing-a", track="1") == VEHICLE | idm
+    assert (
+        other("motion", "--motion", "advancing-a", "--motion", "advancing-b", *follower) == motions
+    )
+    assert other("track", "--motion", "advancing-a", *follower, track="1") == VEHICLE | idm
     scene = ("--scene", str((out / "scenes" / "recast").resolve()))
     taken = SCENE | VEHICLE - {"registered/replaced"} | idm
-    assert other("scene", "--motion", "advancing-a", *scene) == taken
+    assert other("scene", "--motion", "advancing-a", *follower, *scene) == taken
     trained = [one for one in Store(tmp_path / "store").artefacts() if one.record.kind == "scenes"]
     assert sum("config" in one.record.inputs for one in trained) == 1
 
@@ -195,7 +197,7 @@ def test_two_runs_at_once_make_nothing_twice(tiny_log_folder: Path, tmp_path: Pa
     numbers = []
     for name in ("one", "two"):
         command = options(log, tmp_path / name, "--motion", "advancing-a", "--store", str(store))
-        command += ["--generator", "support.own_parts:Box"]
+        command += ["--generator", "support.own_parts:Box", "--planner", "idm-follower"]
         notes = tmp_path / f"{name}.notes"
 
         def work(command: list[str] = command, notes: Path = notes) -> None:
