@@ -196,7 +196,7 @@ class _Run:
             self._console.print(printable(line), markup=False, highlight=False, style="red")
         found = RunFinding.read(path / REPORT_FOLDER)
         for sentence in () if found is None else found.sentences:
-            self._console.print(sentence, markup=False, highlight=False)
+            self._console.print(printable(sentence), markup=False, highlight=False)
         page = path / REPORT_FOLDER / "index.html"
         self._console.print(f"report: {page}", markup=False)
         return page
