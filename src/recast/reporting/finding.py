@@ -13,6 +13,7 @@ from recast.dynamics import state as ego
 from recast.metrics import RolloutMetrics
 from recast.metrics.rollout_metrics import least_gaps
 from recast.reporting.inputs import NotMade, ReportInputs, ScenarioPart
+from recast.reporting.moments import actor_bearings
 from recast.reporting.summary import (
     listed,
     looked_at,
@@ -93,10 +94,11 @@ def finding(run: ReportInputs) -> RunFinding | None:
         whose = vehicles([run.arms[arm] for arm in first])
         moment = f"{(min(hits) - step) * dt:g} s before the contact with {whose}"
     else:
-        nearest = min((least_gaps(one.rollout) for one in metrics), key=lambda gaps: gaps.min())
-        step = _beside(metrics, int(np.argmin(nearest)))
-        passed = "" if step == int(np.argmin(nearest)) else "before "
-        moment = f"{passed}the smallest gap, {step * dt:.1f} s after the start"
+        gaps = min((least_gaps(one.rollout) for one in metrics), key=lambda gaps: gaps.min())
+        nearest = int(np.argmin(gaps))
+        step = _beside(metrics, nearest)
+        before = "before " if step < nearest else ""
+        moment = f"{before}the smallest gap, {step * dt:.1f} s after the start"
     trust, provisional = _trust(run, scenario)
     return RunFinding(number, tuple(sentences), step, moment, trust, provisional)
 
@@ -106,13 +108,11 @@ def _beside(metrics: Sequence[RolloutMetrics], latest: int) -> int:
 
     Later, one ego may have steered past it while another drives towards it.
     """
-    bearings = []
-    for one in metrics:
-        ego_states, actor = one.rollout.ego, one.rollout.actor
-        steps = np.minimum(np.arange(latest + 1), one.rollout.steps_run)
-        x, y = (actor[steps, :2] - ego_states[steps, :2]).T
-        bearings.append(np.exp(1j * (np.arctan2(y, x) - ego_states[steps, ego.HEADING])))
-    apart = [np.abs(np.angle(one / bearings[0])) for one in bearings]
+    steps = np.arange(latest + 1)
+    bearings = [
+        actor_bearings(one.rollout)[np.minimum(steps, one.rollout.steps_run)] for one in metrics
+    ]
+    apart = [np.abs(np.angle(np.exp(1j * (one - bearings[0])))) for one in bearings]
     near = np.flatnonzero(np.max(apart, axis=0) < _IN_VIEW)
     return int(near[-1]) if len(near) else latest
 
@@ -177,9 +177,8 @@ def _meaning(run: ReportInputs, metrics: Mapping[str, RolloutMetrics]) -> str:
             return f"The verdict is the true one: {verdict}."
         if not right:
             return f"The true verdict is another one: {verdict}."
-        few = "Of the two, only" if len(others) == 2 else "Only"
         gives = "gives" if len(right) == 1 else "give"
-        return f"{few} {vehicles(right)} {gives} the true verdict: {verdict}."
+        return f"Only {vehicles(right)} {gives} the true verdict: {verdict}."
     if len(others) < 2:
         return ""
     first, *rest = others.values()

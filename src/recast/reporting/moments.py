@@ -282,10 +282,14 @@ def _camera(run: ReportInputs, driven: Sequence[RolloutPart], step: int) -> str 
     """The camera with a film that looks most nearly at the actor, as the first arm has it."""
     rollout = driven[0].rollout
     assert isinstance(rollout, Rollout)
-    step = min(step, rollout.steps_run)
-    x, y = rollout.actor[step, :2] - rollout.ego[step, :2]
-    bearing = float(np.arctan2(y, x) - rollout.ego[step, 2])
+    bearing = float(actor_bearings(rollout)[min(step, rollout.steps_run)])
     return camera_towards(filmed_cameras(driven), run.camera_headings, bearing)
+
+
+def actor_bearings(rollout: Rollout) -> NDArray[np.float64]:
+    """Radians (S+1,) from the ego's heading to the actor, left positive; not wrapped."""
+    x, y = (rollout.actor[:, :2] - rollout.ego[:, :2]).T
+    return np.arctan2(y, x) - rollout.ego[:, 2]
 
 
 def _images(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 from collections.abc import Callable, Iterable, Sequence
+from contextlib import closing
 from dataclasses import dataclass, replace
 from itertools import product
 from pathlib import Path
@@ -395,13 +396,14 @@ def _start_deciding(
     del number
     config, source = RunConfig.model_validate(trial), SourceLog.open(log)
     name = source.log.name
-    sources, console = Sources.of(config, name), Console(width=width, force_terminal=False)
-    opened = open_store(str(store))
-    artefacts = Artefacts(opened, source, config, sources, console, name, oracle_workers=1)
+    sources, opened = Sources.of(config, name), open_store(str(store))
 
     def decide(settings: tuple[str, Sequence[str]]) -> tuple[str, str]:
-        console.file = told = io.StringIO()
-        return _decided(settings[1], artefacts, console), told.getvalue()
+        told = io.StringIO()
+        console = Console(file=told, width=width, force_terminal=False)
+        artefacts = Artefacts(opened, source, config, sources, console, name, oracle_workers=1)
+        with closing(artefacts):
+            return _decided(settings[1], artefacts, console), told.getvalue()
 
     return decide
 
