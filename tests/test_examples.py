@@ -94,7 +94,7 @@ def test_6_steps_four_environments(said, folder: Path) -> None:
 @pytest.mark.whole
 def test_7_finds_where_a_planner_begins_to_fail(said, folder: Path) -> None:
     out = said("7_search.py", folder / "search", f"{folder / 'log'}:0", "advancing-a", "gap=1:4")
-    assert "idm-follower: never fails" in out
+    assert "gtrs-mini: never fails" in out
 
 
 def test_the_page_shows_them_as_they_are() -> None:
