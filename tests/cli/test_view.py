@@ -3,15 +3,24 @@
 from __future__ import annotations
 
 import sys
+from contextlib import suppress
 from pathlib import Path
 
 import pytest
+import torch
 
 from recast.cli.main import main
-from recast.logs import DrivingLog, map_of
+from recast.logs import DrivingLog, map_of, read_log
 from recast.planning import make_planner
+from recast.reconstruction import TrainingStatus, train_scene
+from recast.reconstruction.train import CHECKPOINT
+from recast.runs.arms import Arm
+from recast.runs.config import RunConfig
+from recast.runs.run_folder import RunFolder
 from recast.runs.view import view_inputs
+from recast.scene.store import read_tensors
 from recast.simulation import MOTIONS, RolloutSetup, run_rollout, save_rollout
+from support.tiny_street import TINY, KilledError
 
 pytest.importorskip("viser")
 
@@ -51,6 +60,45 @@ def test_a_replay_of_a_log_is_written(
     assert path.stat().st_size < 3e6
     said = " ".join(capsys.readouterr().out.split())
     assert "MB, 0 of 0 Gaussians" in said and "viser" not in said
+
+
+def test_a_run_whose_street_trains_shows_what_the_training_has_come_to(
+    tiny_log_folder: Path, tmp_path: Path
+) -> None:
+    street = TINY.model_copy(update={"iterations": 40, "checkpoint_every": 8})
+    config = RunConfig(
+        track="0",
+        motions=("advancing-a",),
+        planners=("idm-follower",),
+        arms=(Arm.native(), Arm.replaced("template")),
+        scene=street,
+    )
+    store = tmp_path / "store"
+    run = RunFolder.create_or_resume(
+        tmp_path / "run", config.resolved(), tiny_log_folder, "hash", str(store)
+    )
+    first = view_inputs([run.path])
+    assert first.title.endswith(", 0 of 2 rollouts")
+    assert list(first.scenarios) == ["recording"] and first.scenes["native"] is None
+    assert first.renew is not None and first.renew() is None
+
+    def stop(status: TrainingStatus) -> None:
+        if status.iteration >= 30:
+            raise KilledError
+
+    def train(out: Path) -> None:
+        train_scene(read_log(tiny_log_folder), out, street, stop, device="cpu")
+
+    with suppress(KilledError):
+        run.store().make("scenes", {"a": "street"}, train, name="street", resumes=True)
+    [partial] = run.store().partial("scenes")
+    found = first.renew()
+    assert found is not None and found.renew is not None and found.renew() is None
+    assert found.title.endswith(", street after 24 steps of training, 0 of 2 rollouts")
+    scene = found.scenes["native"]
+    assert scene is not None and "0" in scene.actors and scene.low_pass == street.low_pass
+    tensors, _ = read_tensors(partial / CHECKPOINT)
+    assert torch.equal(scene.background.means, tensors["background:means"])
 
 
 def test_folders_that_cannot_be_shown_are_refused(

@@ -10,7 +10,7 @@ import torch
 
 from recast.logs import DrivingLog, HdMap, map_of
 from recast.planning import make_planner
-from recast.runs.view import log_runner
+from recast.runs.page_runner import log_runner
 from recast.scene import StreetScene
 from recast.scene.actor import SceneActor
 from recast.scene.sky import SkyMap

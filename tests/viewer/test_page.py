@@ -201,3 +201,37 @@ def test_evidence_has_words_and_the_vehicle_in_its_crop(inputs: ViewInputs) -> N
 def test_an_unknown_host_is_refused(inputs: ViewInputs) -> None:
     with pytest.raises(InputError, match="`host`"):
         Page(replace(inputs, runner=None), host="203.0.113.9", port=8120)
+
+
+def test_a_page_shows_what_a_run_has_made_meanwhile(
+    inputs: ViewInputs, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """First the recording alone; the step stays where somebody stands, and playing goes on."""
+    monkeypatch.setattr("recast.viewer.page.RENEW_EVERY", 0.05)
+    recorded = {"recording": inputs.scenarios["recording"]}
+    later = threading.Event()
+    broken = iter([True])
+
+    def renew() -> ViewInputs | None:
+        if not later.is_set():
+            return None
+        if next(broken, False):
+            raise InputError("run.json", "file", "is being written", "wait")
+        return replace(inputs, title="finished")
+
+    page = Page(replace(inputs, scenarios=recorded, renew=renew), out=tmp_path, port=8130)
+    try:
+        page.playback.go_to(4)
+        page.playback.play(True)
+        later.set()
+        sleep(0.3)
+        assert list(page.playback.inputs.scenarios) == ["recording"]
+        page.playback.play(False)
+        step = page.playback.step
+        page._renewing.join(timeout=20.0)
+        assert page.playback.inputs.title == "finished"
+        assert list(page.playback.inputs.scenarios) == ["advancing-a", "recording"]
+        assert (page.playback.scenario, page.playback.step) == ("recording", step)
+        assert actor_node(page, "native") in seen(page)
+    finally:
+        page.close()

@@ -250,11 +250,16 @@ class Store:
                     found[user] = record.references
         return found
 
+    def partial(self, kind: str) -> list[Path]:
+        """Folders with the data of artefacts that are being made, or were when their process
+        ended."""
+        return [path / DATA_FOLDER for path in self._partials(kind)]
+
     def leftovers(self) -> list[Path]:
         """Partial folders that no process is at work on."""
         found = []
         for kind in KINDS:
-            for path in sorted((self.root / kind).glob(".*.partial")):
+            for path in self._partials(kind):
                 key = path.name.removeprefix(".").removesuffix(".partial")
                 with suppress(InputError), self._alone(kind, key, None):
                     found.append(path)
@@ -334,6 +339,9 @@ class Store:
             _clear(folder)  # one that was half deleted
             self._partial(kind, key).rename(folder)
         return folder
+
+    def _partials(self, kind: str) -> list[Path]:
+        return sorted((self.root / kind).glob(".*.partial"))
 
     def _partial(self, kind: str, key: str) -> Path:
         return self.root / kind / f".{key}.partial"

@@ -28,6 +28,7 @@ from recast.reconstruction.densify import BUDGET_FILE, BUDGET_VERSION, Budget, g
 from recast.reconstruction.evaluate import held_out_psnr
 from recast.reconstruction.first_points import Initialisation, initialise
 from recast.reconstruction.step import STATES, Trainer
+from recast.reconstruction.tables import make_sky
 from recast.reconstruction.views import DepthSamples, TrainingView, choose_actors, read_views
 from recast.scene.sky import SkyMap
 from recast.scene.store import (
@@ -37,10 +38,12 @@ from recast.scene.store import (
     read_tensors,
     write_tensors,
 )
-from recast.scene.street_scene import StreetScene
+from recast.scene.street_scene import SceneActor, StreetScene
 from recast.splats import Gaussians, pick_device, set_threads
 
 WORK_FOLDER = "work"
+CHECKPOINT = f"{WORK_FOLDER}/checkpoint.safetensors"
+FIRST_SCENE = f"{WORK_FOLDER}/initialisation.safetensors"
 HISTORY_FILE = "history.json"
 REPORT_EVERY = 10
 CONFIG_FILE = "config.json"
@@ -154,7 +157,7 @@ class _Run:
         budget = gaussian_budget(self._config, views)
         self._config = self._config.model_copy(update={"max_gaussians": budget.most_gaussians})
         start, trainer = self._trainer(views)
-        checkpoint = self._work / "checkpoint.safetensors"
+        checkpoint = self._out / CHECKPOINT
         history: list[dict[str, float]] = []
         if checkpoint.is_file():
             notes = load_checkpoint(trainer, checkpoint)
@@ -194,7 +197,7 @@ class _Run:
         config = self._config
         tracks = choose_actors(self._log, views, config)
         bodies = read_bodies(config, tracks)
-        path = self._work / "initialisation.safetensors"
+        path = self._out / FIRST_SCENE
         if path.is_file():
             start = load_initialisation(path)
         else:
@@ -469,6 +472,46 @@ def load_initialisation(path: Path) -> Initialisation:
         for gaussians in (start.background, *start.actors.values()):
             gaussians.validate()
     return start
+
+
+def load_preview(folder: Path, log: DrivingLog) -> tuple[StreetScene, int]:
+    """The street of a training that goes on, as of its last checkpoint, and that step.
+
+    To look at: its actors are rigid and stand where the log has them, its colours are those of no
+    exposure, and surfaces that no image shows are not marked.
+
+    Args:
+        folder: folder that `train_scene` is writing.
+
+    Raises:
+        InputError: there is no checkpoint yet, or no more.
+    """
+    config = read_training_config(folder)
+    start, path = load_initialisation(folder / FIRST_SCENE), folder / CHECKPOINT
+    with _broken(path):
+        tensors, header = read_tensors(path)
+        local, owner = Gaussians(**_group(tensors, "local")), tensors["owner"]
+        sky = make_sky(config, start.sky)
+        sky.table.load_state_dict(_group(tensors, "sky"))
+        actors = {
+            name: SceneActor(
+                name,
+                local.select((owner == index).nonzero()[:, 0]),
+                log.tracks[name].size,
+                log.tracks[name].trajectory,
+                low_pass=config.low_pass,
+            )
+            for index, name in enumerate(start.actors)
+        }
+        scene = StreetScene(
+            Gaussians(**_group(tensors, "background")),
+            actors,
+            sky.sky_map(),
+            world_offset=log.world_offset,
+            log_name=log.name,
+            low_pass=config.low_pass,
+        )
+        return scene, int(header["iteration"])
 
 
 @contextmanager

@@ -19,16 +19,16 @@ from recast.actors import Actor, load_actor
 from recast.actors.insert import insert
 from recast.actors.vehicle_files import ACTOR_FILE
 from recast.core import Artefact, Store
-from recast.core.diagnostics import Progress
 from recast.core.errors import InputError, require_range
 from recast.core.files import folder_name
 from recast.logs import DrivingLog, HdMap, Trajectory, map_of, read_log
 from recast.logs.store import LOG_FILE
-from recast.planning import Plan, Planner, PlannerAround, PlannerInput, make_planner
-from recast.reconstruction.config import SceneConfig
-from recast.runs.arms import Arm
+from recast.reconstruction import load_preview, read_training_config, require_log_of
+from recast.reconstruction.train import CHECKPOINT, FREE_FIELDS
+from recast.runs.arms import TRUTH, Arm
 from recast.runs.config import RunConfig
-from recast.runs.rollouts import films, is_failure, read_rollout, rollout_setup, run_mounts
+from recast.runs.page_runner import log_runner, run_runner
+from recast.runs.rollouts import films, is_failure, read_rollout
 from recast.runs.run_folder import (
     ACTOR_FOLDER,
     RUN_FILE,
@@ -42,20 +42,13 @@ from recast.scene.sky import SkyMap
 from recast.scene.store import SCENE_FILE
 from recast.scene.street_scene import SceneActor
 from recast.simulation import (
-    MOTIONS,
     Rollout,
     RolloutFailure,
-    RolloutSetup,
-    ScriptedMotion,
     camera_mounts,
-    run_rollout,
 )
-from recast.simulation.scene_renderer import SceneRenderer, through_lenses
 from recast.viewer import (
     FilmFile,
-    FilmFrames,
     Page,
-    Runner,
     ViewedDrive,
     ViewInputs,
     recording,
@@ -308,16 +301,14 @@ def replay_what(
     )
 
 
-_PLANNERS = ("idm-follower", "constant-velocity", "log-replay")
-_STEPS = 80
-_SCALE = 0.5
-
-
 def run_inputs(path: Path, only: Sequence[Path] = ()) -> ViewInputs:
     """Load what a run made.
 
     Args:
         only: folders of the rollouts that are shown; none for all.
+
+    A run that goes on shows what there is: the recorded drive until a rollout is finished, in the
+    street of the training's last checkpoint until that is finished.
 
     Raises:
         InputError: it is no run, its log or an artefact is gone, or none of its rollouts can be
@@ -325,7 +316,15 @@ def run_inputs(path: Path, only: Sequence[Path] = ()) -> ViewInputs:
     """
     folder = RunFolder.open(path)
     log = read_log(folder.log_path)
-    return _Opened(path, only, folder, folder.config, folder.store(), log).inputs()
+    opened = _Opened(path, only, folder, folder.config, folder.store(), log)
+    inputs, before = opened.inputs(), opened.state()
+    if not opened.goes_on():
+        return inputs
+
+    def renew() -> ViewInputs | None:
+        return None if opened.state() == before else run_inputs(path, only)
+
+    return replace(inputs, renew=renew)
 
 
 def named_place(path: Path) -> Path:
@@ -343,6 +342,14 @@ def drive_of(
     return rollout_drive(rollout, log, hdmap, mounts, found)
 
 
+def written_ns(file: Path) -> int | None:
+    """When a file was last written, in nanoseconds; None if there is none."""
+    try:
+        return file.stat().st_mtime_ns
+    except OSError:
+        return None
+
+
 @dataclass(frozen=True)
 class _Opened:
     path: Path
@@ -356,17 +363,35 @@ class _Opened:
     def map(self) -> HdMap:
         return map_of(self.log)
 
+    def goes_on(self) -> bool:
+        """Whether rollouts of the run are not made yet."""
+        config, made = self.config, self.folder.record.artefacts
+        wanted = product(config.motions, config.planners, [arm.name for arm in config.arms])
+        return any(rollout_name(*names) not in made for names in wanted)
+
+    def state(self) -> tuple[int | None, ...]:
+        """When files that tell of a run's progress were last written, in nanoseconds."""
+        trained = [self._training(arm.made_in) for arm in self.config.arms]
+        files = [self.path / RUN_FILE, *(folder / CHECKPOINT for folder in filter(None, trained))]
+        return tuple(written_ns(file) for file in files)
+
     def inputs(self) -> ViewInputs:
         config = self.config
         scenarios: dict[str, dict[str, ViewedDrive]] = {}
-        arms: dict[str, Arm] = {}
-        for motion, planner, arm in product(config.motions, config.planners, config.arms):
-            drive = self._drive(motion, planner, arm.name)
+        arms = {arm.name: arm for arm in config.arms}
+        for motion, planner, arm in product(config.motions, config.planners, arms):
+            drive = self._drive(motion, planner, arm)
             if drive is not None:
                 name = motion if len(config.planners) == 1 else f"{motion}, {planner}"
-                scenarios.setdefault(name, {})[arm.name] = drive
-                arms[arm.name] = arm
-        if not scenarios:
+                scenarios.setdefault(name, {})[arm] = drive
+        if scenarios:
+            shown = {arm for drives in scenarios.values() for arm in drives}
+            arms = {name: arm for name, arm in arms.items() if name in shown}
+        elif self.goes_on() and not self.only:
+            streets = [name for name, arm in arms.items() if arm.vehicle == "own"]
+            arms = {name: arms[name] for name in streets or arms}
+            scenarios[_RECORDED] = dict.fromkeys(arms, recording(self.log))
+        else:
             raise InputError(
                 self.path,
                 "rollouts",
@@ -374,11 +399,16 @@ class _Opened:
                 "finish the run: give its `recast run` command again",
             )
         actors = {name: self._actors(arm) for name, arm in arms.items() if arm.generates}
-        scenes = _Scenes(
-            arms, actors, lambda street: self._find(use_name("scene", street)), config.track
-        )
+        steps: list[str] = []
+        scenes = _Scenes(arms, actors, lambda street: self._street(street, steps), config.track)
+        title = f"{self.path.absolute().name}: track {config.track} of {self.log.name}"
+        if self.goes_on():
+            list(scenes.values())  # the title tells of streets in training
+            count = sum(map(len, scenarios.values())) if _RECORDED not in scenarios else 0
+            total = len(config.motions) * len(config.planners) * len(config.arms)
+            title = ", ".join([title, *steps, f"{count} of {total} rollouts"])
         return ViewInputs(
-            title=f"{self.path.absolute().name}: track {config.track} of {self.log.name}",
+            title=title,
             scenes=scenes,
             scenarios=scenarios,
             log=self.log,
@@ -386,6 +416,32 @@ class _Opened:
             actors=actors,
             runner=run_runner(self.log, self.map, config, scenes),
         )
+
+    def _street(self, name: str, steps: list[str]) -> StreetScene | None:
+        """A street, or what its training has come to, whose step is added to `steps`."""
+        found = self._find(use_name("scene", name))
+        if found is not None:
+            return load_scene(found.path)
+        folder = self._training(name)
+        with suppress(InputError):  # there is no checkpoint yet
+            if folder is not None:
+                scene, step = load_preview(folder, self.log)
+                steps.append(f"street after {step} steps of training")
+                return scene
+        return None  # the truth, or a run that rendered nothing
+
+    def _training(self, name: str) -> Path | None:
+        """The folder in which a street of this run is trained, or was when it was stopped."""
+        if name == TRUTH or use_name("scene", name) in self.folder.record.artefacts:
+            return None
+        free = {*FREE_FIELDS, "force_dynamic"}  # the run adds its track to the latter
+        wanted = self.config.street(name).model_dump(exclude=free)
+        for folder in self.store.partial("scenes"):
+            with suppress(InputError):
+                require_log_of(folder, self.log)
+                if read_training_config(folder).model_dump(exclude=free) == wanted:
+                    return folder
+        return None
 
     def _drive(self, motion: str, planner: str, arm: str) -> ViewedDrive | None:
         link = named_place(self.path).joinpath(
@@ -425,7 +481,7 @@ class _Scenes(Mapping[str, StreetScene | None]):
         self,
         arms: Mapping[str, Arm],
         actors: Mapping[str, Mapping[str, Actor]],
-        find: Callable[[str], Artefact | None],
+        find: Callable[[str], StreetScene | None],
         target: str,
     ) -> None:
         self._arms, self._actors, self._find, self._target = arms, actors, find, target
@@ -455,101 +511,5 @@ class _Scenes(Mapping[str, StreetScene | None]):
 
     def _street(self, name: str) -> StreetScene | None:
         if name not in self._streets:
-            found = self._find(name)  # none: the truth, or a run that rendered nothing
-            self._streets[name] = None if found is None else load_scene(found.path)
+            self._streets[name] = self._find(name)
         return self._streets[name]
-
-
-def run_runner(
-    log: DrivingLog, hdmap: HdMap, config: RunConfig, scenes: Mapping[str, StreetScene | None]
-) -> Runner:
-    """Runs rollouts as a run does, with its planners, cameras and number of steps."""
-    own = {name: config.motion(name) for name in config.motions}
-    return _runner(log, hdmap, config, scenes, own)
-
-
-def log_runner(
-    log: DrivingLog,
-    hdmap: HdMap,
-    scenes: Mapping[str, StreetScene | None],
-    first: StreetScene | None,
-) -> Runner:
-    """Runs rollouts on a log; the target is that of a synthetic log, or the first actor.
-
-    Args:
-        first: scene whose actors may be controlled; None: any track of the log.
-    """
-    modelled = [key for key in log.tracks if first is None or key in first.actors]
-    wanted = log.metadata.get("target", "")
-    track = wanted if wanted in modelled else next(iter(modelled or log.tracks))
-    config = RunConfig(
-        track=track,
-        motions=(next(iter(MOTIONS)),),
-        planners=_PLANNERS,
-        steps=_STEPS,
-        scene=SceneConfig(scale=_SCALE),
-    )
-    return _runner(log, hdmap, config, scenes, {})
-
-
-def _runner(
-    log: DrivingLog,
-    hdmap: HdMap,
-    config: RunConfig,
-    scenes: Mapping[str, StreetScene | None],
-    own: Mapping[str, ScriptedMotion],
-) -> Runner:
-    def run(motion: ScriptedMotion, word: str, arm: str, on_step: Progress) -> ViewedDrive:
-        setup = rollout_setup(log, hdmap, config, motion, arm)
-        return _run(setup, config, scenes.get(arm), word, on_step)
-
-    planners = tuple(dict.fromkeys((*config.planners, *_PLANNERS)))
-    return Runner(log, hdmap, config.track, {**own, **MOTIONS}, planners, config.steps, run)
-
-
-class _Counted(PlannerAround):
-    """A planner that tells how far the rollout has come."""
-
-    def __init__(self, planner: Planner, on_step: Progress, steps: int) -> None:
-        super().__init__(planner)
-        self._on_step, self._steps = on_step, steps
-
-    def plan(self, observation: PlannerInput) -> Plan:
-        """See `Planner`."""
-        self._on_step(observation.step, self._steps)
-        return super().plan(observation)
-
-
-def _run(
-    setup: RolloutSetup, config: RunConfig, scene: StreetScene | None, word: str, on_step: Progress
-) -> ViewedDrive:
-    """Run one rollout, and film its first camera.
-
-    Raises:
-        InputError: the planner looks at images and the arm has no street, or the rollout is
-            refused.
-    """
-    log, cameras = setup.log, setup.camera_names or ()
-    planner = make_planner(word, config.planner_device)
-    mounts = run_mounts(log, planner, config)
-    renderer = None
-    if scene is not None and config.track in scene.actors:
-        street = scene
-        renderer = through_lenses(mounts, lambda pinholes: SceneRenderer(street, pinholes))
-    elif planner.needs_images:
-        raise InputError(
-            f"arm {setup.arm}",
-            f"planner {word}",
-            "needs images, but this arm has no scene to render",
-            "choose another arm or planner",
-        )
-    total = 2 * config.steps if renderer is not None else config.steps
-    rollout = run_rollout(setup, _Counted(planner, on_step, total), renderer)
-    shown, film = {}, FilmFrames()
-    if renderer is not None and cameras:
-        camera = cameras[0]
-        shown = {camera: mounts[camera]}
-        for step in range(rollout.steps_run):
-            film.add(renderer.render(rollout.state(step), (camera,))[camera])
-            on_step(config.steps + step + 1, total)
-    return rollout_drive(rollout, log, setup.hdmap, shown, dict.fromkeys(shown, film))

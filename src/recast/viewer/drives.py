@@ -138,6 +138,8 @@ class ViewInputs:
         hdmap: lanes and drivable area, or None.
         actors: generated vehicles by arm and track id, for their coverage.
         runner: runs rollouts from the page, or None.
+        renew: function that gives what there is by now, or None if nothing has changed; None if
+            nothing can change.
     """
 
     title: str
@@ -147,6 +149,7 @@ class ViewInputs:
     hdmap: HdMap | None = None
     actors: Mapping[str, Mapping[str, Actor]] = field(default_factory=dict)
     runner: Runner | None = None
+    renew: Callable[[], ViewInputs | None] | None = None
 
     @property
     def drives(self) -> list[ViewedDrive]:

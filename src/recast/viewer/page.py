@@ -40,6 +40,8 @@ _LOG = logging.getLogger(__name__)
 
 LOOPBACK = "127.0.0.1"
 MOST_GAUSSIANS = 300_000
+RENEW_EVERY = 5.0
+"""Seconds between two looks at what a run has made meanwhile."""
 RATE = 30.0
 """Updates a second while it plays."""
 _PICTURES_EVERY = 0.2
@@ -73,21 +75,32 @@ class Page:
         names: Collection[str] = (),
     ) -> None:
         self.server = open_server(host, port, names)
-        self.playback = Playback(inputs)
-        self._tracks: TrackPanel | None = None
-        self._pictures_at = 0.0
+        self._most, self._out = most, out
         self._over = Event()
-        self.stage = ViewerStage(
-            self.server, self.playback.inputs, most, [self.playback.arm], on_click=self._clicked
-        )
-        self.pruned = _share(self.stage.splats.kept, self.stage.splats.total)
-        self._fill(out)
+        self._open(inputs)
         open_at(self.server, first_look(self.playback.drive))
-        self.playback.go_to(first_step(self.playback.drive))
-        self.playback.subscribe(self._changed)
-        self.stage.show(self.playback.shown)
         self._thread = Thread(target=self._work, name="recast-viewer", daemon=True)
         self._thread.start()
+        self._renewing = Thread(target=self._renew, name="recast-viewer-renewal", daemon=True)
+        self._renewing.start()
+
+    def _open(self, inputs: ViewInputs, shown: Shown | None = None) -> None:
+        """Fill the page; `shown` is taken up where there is such a scenario and arm."""
+        self.playback = playback = Playback(inputs)
+        self._tracks: TrackPanel | None = None
+        self._pictures_at = 0.0
+        if shown is not None and shown.arm in playback.inputs.scenarios.get(shown.scenario, {}):
+            playback.select(shown.scenario, shown.arm)
+            playback.go_to(shown.step)
+        else:
+            playback.go_to(first_step(playback.drive))
+        self.stage = ViewerStage(
+            self.server, playback.inputs, self._most, [playback.arm], on_click=self._clicked
+        )
+        self.pruned = _share(self.stage.splats.kept, self.stage.splats.total)
+        self._fill(self._out)
+        playback.subscribe(self._changed)
+        self.stage.show(playback.shown)
         self._sending = Thread(target=self._send, name="recast-viewer-arms", daemon=True)
         self._sending.start()
 
@@ -104,13 +117,14 @@ class Page:
     def close(self) -> None:
         """Stop playing and serving."""
         self._over.set()
-        self._thread.join(timeout=10.0)
-        self._sending.join(timeout=10.0)
+        for thread in (self._thread, self._renewing, self._sending):
+            thread.join(timeout=10.0)
         self._exact.close()
         close_server(self.server)
 
     def _fill(self, out: Path) -> None:
         gui, playback = self.server.gui, self.playback
+        gui.main_panel.dock_right()
         gui.set_panel_label("recast view")
         gui.add_markdown(f"**{escaped(playback.inputs.title)}**  \n{self.pruned}")
         tabs = gui.add_tab_group()
@@ -150,6 +164,22 @@ class Page:
                 self.stage.splats.add([arm])
             except Exception:  # said again, and to the one who asks, when the arm is shown
                 _LOG.warning("arm %s cannot be sent", arm, exc_info=True)
+
+    def _renew(self) -> None:
+        """Show what a run that goes on has made meanwhile, while nothing plays."""
+        while (renew := self.playback.inputs.renew) and not self._over.wait(RENEW_EVERY):
+            try:
+                inputs = None if self.playback.playing else renew()
+            except InputError as error:  # such as a file that is being replaced
+                _LOG.warning("what is new cannot be shown: %s", error)
+                continue
+            if inputs is not None:
+                self._sending.join()
+                self._exact.close()
+                shown = self.playback.shown
+                self.server.scene.reset()
+                self.server.gui.reset()
+                self._open(inputs, shown)
 
     def _work(self) -> None:
         before = time.monotonic()
@@ -205,7 +235,6 @@ def open_server(
     server.gui.configure_theme(
         control_width="large", dark_mode=True, show_logo=False, show_share_button=False
     )
-    server.gui.main_panel.dock_right()
     return server
 
 
