@@ -135,7 +135,7 @@ def main() -> None:
         track.track_id,
         MOTIONS["oncoming-a"],
         steps=chosen.steps,
-        keep_other_actors=True,
+        traffic="replay",
         camera_names=planner_cameras(planner, mounts),
     )
     renderer = SceneRenderer(made_up_scene(stage, track, chosen.gaussians), mounts)

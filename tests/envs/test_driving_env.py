@@ -105,7 +105,7 @@ def test_what_the_agent_sees_is_in_its_own_frame() -> None:
             log,
             actors={"7": "cut-in-a"},
             most_actors=4,
-            settings=RolloutSettings(keep_other_actors=True),
+            settings=RolloutSettings(traffic="replay"),
         )
         env.reset(seed=0)
         seen, *_ = env.step(straight(8.0))

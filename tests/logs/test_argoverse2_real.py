@@ -183,7 +183,7 @@ def test_pdm_closed_drives_among_the_recorded_traffic(
             motion=Recorded(actor, start),
             start_timestamp_us=start,
             steps=round(10 * seconds),
-            keep_other_actors=True,
+            traffic="replay",
             road_margin=0.0,
         ),
         PdmClosedPlanner(),

@@ -17,7 +17,6 @@ from recast.cameras import CameraMount, PinholeCamera
 from recast.core.errors import InputError
 from recast.geometry import se3
 from recast.scene.street_scene import ViewGaps
-from recast.simulation import MOTIONS, RolloutSetup
 from recast.simulation.rollout_files import load_coverage, save_coverage
 from recast.simulation.scene_renderer import (
     GAPS_EVERY,
@@ -26,7 +25,7 @@ from recast.simulation.scene_renderer import (
     rollout_coverage,
     rollout_gaps,
 )
-from support.box_world import CAMERA, MOUNTS, box_log, parked_at
+from support.box_world import CAMERA, MOUNTS
 from support.made_up_rollouts import make_rollout
 
 SOME = Coverage(40.0, 0.5, 0.25, 0.25)
@@ -58,7 +57,7 @@ class Recorder:
 
 
 def test_every_image_at_a_plan_step_is_measured_once() -> None:
-    rollout, log = make_rollout(steps=12), box_log(parked_at(20.0, 5.0))
+    rollout = make_rollout(steps=12)
     seen = np.zeros((CAMERA.height, CAMERA.width), np.bool_)
     bent = replace(CAMERA, distortion=(0.1, 0.0, 0.0, 0.0, 0.0))
     rear = se3.from_rotation_translation(np.diag([-1.0, -1.0, 1.0]), np.zeros(3))
@@ -68,9 +67,8 @@ def test_every_image_at_a_plan_step_is_measured_once() -> None:
         "rear": CameraMount(CAMERA, rear @ MOUNTS["front"].rig_from_camera),
         "unused": MOUNTS["front"],
     }
-    setup = RolloutSetup(log, "7", MOTIONS["stationary-a"], keep_other_actors=True)
     meter = Recorder()
-    found = rollout_coverage(rollout, setup, meter, mounts, ("front", "rear"), ("virtual", "front"))
+    found = rollout_coverage(rollout, meter, mounts, ("front", "rear"), ("virtual", "front"))
     assert [(i.step, i.camera, i.planned) for i in found.images] == [
         (step, name, name != "rear") for step in (0, 5, 10) for name in ("front", "rear", "virtual")
     ]
@@ -84,7 +82,7 @@ def test_every_image_at_a_plan_step_is_measured_once() -> None:
             rollout.world_from_rig[image.step] @ mounts[image.camera].rig_from_camera
         )
         np.testing.assert_allclose(camera_from_world @ world_from_camera, np.eye(4), atol=1e-12)
-        assert set(poses) == {"7", "p"}
+        assert set(poses) == {"7"}
         np.testing.assert_array_equal(poses["7"], rollout.world_from_actor[image.step])
 
 
@@ -98,7 +96,7 @@ class Brightening:
         poses: Mapping[str, np.ndarray],
         usable: np.ndarray | None = None,
     ) -> ViewGaps | None:
-        assert camera == CAMERA and set(poses) == {"7", "p"}
+        assert camera == CAMERA and set(poses) == {"7"}
         metres = float(se3.inverse(camera_from_world)[0, 3])
         return ViewGaps(metres / 1000, 0.0 if usable is None else 0.5)
 
@@ -109,12 +107,11 @@ class Silent:
 
 
 def test_gaps_are_those_of_the_planners_images() -> None:
-    rollout, log = make_rollout(steps=60), box_log(parked_at(20.0, 5.0))
+    rollout = make_rollout(steps=60)
     seen = np.zeros((CAMERA.height, CAMERA.width), np.bool_)
     mounts = {**MOUNTS, "virtual": replace(MOUNTS["front"], seen=seen)}
-    setup = RolloutSetup(log, "7", MOTIONS["stationary-a"], keep_other_actors=True)
     meter: Any = Brightening()
-    found = rollout_gaps(rollout, setup, meter, mounts, ("virtual", "front"))
+    found = rollout_gaps(rollout, meter, mounts, ("virtual", "front"))
     assert found is not None
     steps = rollout.plan_steps[::GAPS_EVERY]
     places = (rollout.world_from_rig[steps] @ MOUNTS["front"].rig_from_camera)[:, 0, 3]
@@ -123,8 +120,8 @@ def test_gaps_are_those_of_the_planners_images() -> None:
     assert found.worst.invented == pytest.approx(places.max() / 1000)
     assert found.worst_s == pytest.approx(steps[places.argmax()] * rollout.dt)
     silent: Any = Silent()
-    assert rollout_gaps(rollout, setup, silent, mounts, ("front",)) is None
-    assert rollout_gaps(rollout, setup, meter, mounts, ()) is None
+    assert rollout_gaps(rollout, silent, mounts, ("front",)) is None
+    assert rollout_gaps(rollout, meter, mounts, ()) is None
 
 
 def test_means_over_images_and_steps() -> None:

@@ -263,7 +263,7 @@ def test_other_actors_are_gone_unless_kept() -> None:
     assert run_rollout(setup, planner, renderer).other_actors == ()
     assert set(renderer.states[0].poses) == {"7"}
 
-    kept = run_rollout(replace(setup, keep_other_actors=True), planner, renderer)
+    kept = run_rollout(replace(setup, traffic="replay"), planner, renderer)
     assert kept.other_actors == ("9",)
     assert set(renderer.states[-1].poses) == {"7", "9"}
     other = planner.seen[-1].actors[1]

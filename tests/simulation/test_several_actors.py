@@ -94,7 +94,7 @@ def test_further_actors_react_to_the_ego_and_to_each_other(setup: RolloutSetup) 
 
 def test_planners_see_the_target_then_the_further_ones_then_the_logged(setup: RolloutSetup) -> None:
     planner, renderer = Recorder(needs_images=True), CountingRenderer()
-    kept = replace(setup, keep_other_actors=True, camera_names=("front",), steps=10)
+    kept = replace(setup, traffic="replay", camera_names=("front",), steps=10)
     made = run_rollout(kept, planner, renderer)
     seen = planner.seen[-1].actors
     assert [actor.track_id for actor in seen] == ["7", "lead", "tail", "passing", "9"]
@@ -102,7 +102,7 @@ def test_planners_see_the_target_then_the_further_ones_then_the_logged(setup: Ro
     assert made.other_actors == ("9",)
     state = renderer.states[-1]
     assert set(state.poses) == {"7", "lead", "tail", "passing", "9"}
-    assert list(state.actors) == ["7", "lead", "tail", "passing"]
+    assert list(state.actors) == ["7", "lead", "tail", "passing", "9"]
     for actor in made.controlled:
         np.testing.assert_array_equal(state.poses[actor.track_id], actor.world_from_actor[5])
         moment = state.actors[actor.track_id]
@@ -223,7 +223,7 @@ def test_all_controlled_actors_hide_each_other_in_the_coverage(setup: RolloutSet
 
     renderer, meter = CountingRenderer(), Meter()
     made = run_rollout(replace(setup, steps=10), ConstantVelocity())
-    rollout_coverage(made, setup, meter, renderer.mounts, (), ("front",))
+    rollout_coverage(made, meter, renderer.mounts, (), ("front",))
     assert meter.poses == [{"7", "lead", "tail", "passing"}] * 2
 
 

@@ -47,6 +47,7 @@ class Run:
     cameras: Annotated[tuple[str, ...] | None, shared.CAMERAS] = None
     scale: Annotated[float | None, shared.option(shared.SCALE_HELP, "0.5")] = None
     iterations: Annotated[int | None, shared.option(shared.ITERATIONS_HELP, "2800")] = None
+    traffic: Annotated[Literal["none", "replay", "idm"] | None, shared.TRAFFIC] = None
     steps: Annotated[int | None, shared.STEPS] = None
     seed: Annotated[int | None, shared.SEED] = None
     threads: Annotated[int | None, shared.THREADS] = None
@@ -84,7 +85,7 @@ class Demo:
         shared.option("Folder of the log and the run.", "runs/demo, with --quick runs/demo-quick"),
     ] = None
     quick: bool = False
-    """Run one short motion at low resolution (about two minutes on two cores)."""
+    """Run one short motion at low resolution (about a minute and a half on two cores)."""
     scene: str = "urban-straight"
     """Synthetic scene; `recast log synth --help` lists the names."""
     seed: Annotated[int, shared.option(f"{shared.SEED_HELP} The drive depends on it, too.")] = 1
@@ -93,7 +94,7 @@ class Demo:
         str | None,
         shared.option(
             shared.PLANNER_HELP,
-            "gtrs-mini; with --quick, which has one camera, idm-follower",
+            "gtrs-mini",
             metavar="NAME",
         ),
     ] = None

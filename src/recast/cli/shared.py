@@ -159,6 +159,11 @@ METRIC = option(
     metavar="NAME",
 )
 STEPS = option("Steps of 0.1 s for each rollout; fewer if the log or the road ends.", "160")
+TRAFFIC = option(
+    "What other recorded road users do: none takes them out, replay leaves them on their recorded "
+    "motion, idm lets them give way on their recorded paths.",
+    "none",
+)
 
 # What the actor is made from.
 GENERATOR = option(
@@ -280,6 +285,7 @@ _RUN_OPTIONS = {
     "refine": "refine",
     "segmenter": "segmenter",
     "views": "views",
+    "traffic": "traffic",
     "steps": "steps",
     "seed": "seed",
     "threads": "threads",

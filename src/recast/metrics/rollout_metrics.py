@@ -6,6 +6,7 @@ import re
 from abc import abstractmethod
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import combinations
 from typing import Any, NamedTuple, Protocol
 
 import numpy as np
@@ -16,7 +17,7 @@ from recast.core.errors import InputError, printable
 from recast.core.foreign import BasePart, foreign_call, read_only, whole
 from recast.core.plugins import METRICS
 from recast.dynamics import state as ego
-from recast.geometry.boxes import TOUCHING
+from recast.geometry.boxes import TOUCHING, bev_overlap_area
 from recast.logs.hdmap import HdMap, drivable_region
 from recast.metrics.driving import (
     TOLERANCE,
@@ -355,6 +356,23 @@ def rollout_collisions(rollout: Rollout) -> dict[str, Collision]:
         )
         for actor in rollout_actors(rollout)
     }
+
+
+def contacts_of_others(rollout: Rollout) -> list[tuple[str, str, int]]:
+    """Track ids of two road users that touch, and the first step: neither of them is the ego.
+
+    Replayed traffic does not give way to the target; that which gives way may be unable to.
+    """
+    found = []
+    for one, other in combinations(rollout_actors(rollout), 2):
+        away = np.linalg.norm(one.states[:, :2] - other.states[:, :2], axis=1)
+        near = away <= (np.hypot(*one.size[:2]) + np.hypot(*other.size[:2])) / 2
+        if not near.any():
+            continue
+        common = bev_overlap_area(one.states[:, :3], one.size, other.states[:, :3], other.size)
+        if common.max() > TOUCHING:
+            found.append((one.track_id, other.track_id, int(np.argmax(common > TOUCHING))))
+    return found
 
 
 def least_gaps(rollout: Rollout) -> Array:

@@ -20,7 +20,9 @@ from recast.simulation.rollout import Rollout
 _MARGIN = 6.0  # metres around everything
 _MAX_SCALE = 14.0  # pixels a metre
 FURTHER = 0.6
-"""Share of the target's colour that controlled actors beside it have."""
+"""Share of the target's colour that the scenario's actors beside it have."""
+TRAFFIC = 0.3
+"""The same of the traffic."""
 _DASH = 1.5  # metres
 _DOT = 0.5  # seconds between the dots of a plan
 
@@ -166,7 +168,8 @@ def draw_cars(canvas: Canvas, rollout: Rollout, step: int, touching: bool) -> No
     log_pose[:2] += rollout.ego_centre_offset * np.array([np.cos(log_pose[2]), np.sin(log_pose[2])])
     canvas.line(boxes.bev_corners(log_pose, *rollout.ego_size), drawing.LOGGED, 1, closed=True)
     for one in rollout.controlled:
-        colour = drawing.dimmed(drawing.ACTOR, FURTHER)
+        traffic = one.track_id in rollout.other_actors
+        colour = drawing.dimmed(drawing.ACTOR, TRAFFIC if traffic else FURTHER)
         draw_car(canvas, one.states[step, :3], one.size[:2], colour, drawing.GROUND, 1)
     for pose, size, colour in (
         (rollout.actor[step, :3], rollout.actor_size[:2], drawing.ACTOR),
@@ -218,9 +221,11 @@ def draw_readout(canvas: Canvas, curves: Series, step: int) -> None:
 def draw_legend(canvas: Canvas, rollout: Rollout, has_actor_log: bool, size: int = 17) -> None:
     """Write what the colours mean at the bottom, in letters of `size` pixels."""
     entries = [("ego", drawing.EGO), (f"actor {rollout.track_id}", drawing.ACTOR)]
-    if rollout.controlled:
-        names = ", ".join(one.track_id for one in rollout.controlled)
+    if rollout.further:
+        names = ", ".join(one.track_id for one in rollout.further)
         entries.append((f"further {names}"[:40], drawing.dimmed(drawing.ACTOR, FURTHER)))
+    if rollout.traffic:
+        entries.append(("traffic", drawing.dimmed(drawing.ACTOR, TRAFFIC)))
     if len(rollout.plan_steps):
         entries.append(("plan", drawing.PLAN))
     entries.append(("ego as recorded", drawing.LOGGED))
@@ -301,7 +306,7 @@ class Birdseye:
             draw_plan(canvas, self.plans[current], rollout.dt)
         canvas.line(rollout.ego_boxes[: step + 1, :2], drawing.dimmed(drawing.EGO, 0.7), 2)
         canvas.line(rollout.actor[: step + 1, :2], drawing.dimmed(drawing.ACTOR, 0.7), 2)
-        for one in rollout.controlled:
+        for one in rollout.further:
             canvas.line(one.states[: step + 1, :2], drawing.dimmed(drawing.ACTOR, 0.4), 2)
         for pose, colour in others:
             canvas.line(boxes.bev_corners(pose, *rollout.ego_size), colour, 3, closed=True)
@@ -328,7 +333,7 @@ class Birdseye:
         last = len(rollout.ego) - 1 if hit is None else hit
         further = drawing.dimmed(drawing.ACTOR, FURTHER)
         for path, colour in (
-            *((one.states[:, :2], further) for one in rollout.controlled),
+            *((one.states[:, :2], further) for one in rollout.further),
             (rollout.ego_boxes[:, :2], drawing.EGO),
             (rollout.actor[:, :2], drawing.ACTOR),
         ):
@@ -398,7 +403,7 @@ def _whole_view(rollout: Rollout, style: BirdseyeStyle) -> CanvasView:
         [
             boxes.bev_corners(rollout.ego_boxes, *rollout.ego_size).reshape(-1, 2),
             boxes.bev_corners(rollout.actor[:, :3], *rollout.actor_size[:2]).reshape(-1, 2),
-            *(one.states[:, :2] for one in rollout.controlled),
+            *(one.states[:, :2] for one in rollout.further),
             rollout.log_ego[:, :2],
         ]
     )

@@ -361,11 +361,12 @@ def _panel(setup: RolloutSetup, prepared: PreparedRollout, facts: ScenarioFacts)
     vehicle, size = setup.vehicle, setup.track.size
     ego_size = np.array([vehicle.length, vehicle.width])
     ego = ego_centre(prepared.log_ego[:, :3], vehicle.centre_offset)
+    further = [one for one in prepared.further if one.track_id in setup.controlled]
     drawn = np.concatenate(
         [
             boxes.bev_corners(ego[[0, -1]], *ego_size).reshape(-1, 2),
             boxes.bev_corners(prepared.actor[:, :3], *size[:2]).reshape(-1, 2),
-            *(one.states[:, :2] for one in prepared.further),
+            *(one.states[:, :2] for one in further),
             ego[:, :2],
         ]
     )
@@ -384,7 +385,7 @@ def _panel(setup: RolloutSetup, prepared: PreparedRollout, facts: ScenarioFacts)
         colour = _colour(step, prepared)
         canvas.polygon(outline, drawing.dimmed(colour, 0.3))
         canvas.line(outline, colour, 2, closed=True)
-    for one in prepared.further:
+    for one in further:
         length, width = setup.track_of(one.track_id).size[:2]
         outlines = boxes.bev_corners(one.states[stamps, :3], length, width)
         for step, outline in zip(stamps[::-1], outlines[::-1], strict=True):

@@ -10,6 +10,7 @@ import numpy as np
 from recast.actors.actor import Coverage
 from recast.metrics import RolloutMetrics
 from recast.metrics.plan_agreement import MOVED, PlanAgreement, read_agreement
+from recast.metrics.rollout_metrics import contacts_of_others
 from recast.reporting.inputs import (
     ActorPart,
     NotMade,
@@ -76,6 +77,9 @@ def rollout_events(part: RolloutPart, curves: Series) -> tuple[RolloutEvent, ...
         if len(bad):
             text = f"first uncomfortable plan ({metrics.comfort.com.reason})"
             events.append(RolloutEvent(float(curves.plan_time[bad[0]]), text, "warn"))
+    for one, other, step in contacts_of_others(rollout) if rollout.traffic else ():
+        text = f"track {one} and track {other} touch; neither is the ego"
+        events.append(RolloutEvent(step * rollout.dt, text, "warn"))
     if rollout.cut_reason is not None:
         asked = rollout.steps_requested * rollout.dt
         text = f"cut before {asked:.1f} s: {rollout.cut_reason}"

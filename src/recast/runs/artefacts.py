@@ -268,7 +268,7 @@ class Artefacts:
             "planner_device": config.planner_device,
             "steps": config.steps,
             "plan_every": config.plan_every,
-            "keep_other_actors": config.keep_other_actors,
+            "traffic": config.traffic,
             "plan_limit_s": config.plan_limit_s,
             "films": config.films,
             "cameras": list(config.scene.cameras),

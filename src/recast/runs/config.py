@@ -36,6 +36,7 @@ from recast.simulation import (
     scenario_name,
     scenario_record,
 )
+from recast.simulation.setup import TrafficKind
 
 CONFIG_VERSION: Literal[2] = 2
 DEFAULT_MOTIONS = ("cut-in", "stationary")
@@ -98,8 +99,12 @@ class RunConfig(Record):
         description="steps of 0.1 s for each rollout; fewer if the log or the road ends",
     )
     plan_every: int = Field(default=5, ge=1, description="steps between two plans")
-    keep_other_actors: bool = Field(
-        default=False, description="whether other recorded actors stay, with their recorded motion"
+    traffic: TrafficKind = Field(
+        default="none",
+        description=(
+            "what other recorded road users do: none takes them out, replay leaves them on their "
+            "recorded motion, idm lets them give way on their recorded paths"
+        ),
     )
     plan_limit_s: float | None = Field(
         default=None,

@@ -51,7 +51,6 @@ from recast.simulation import (
     run_rollout,
     save_rollout,
 )
-from recast.simulation.history import other_poses
 from recast.simulation.renderer import RestoringRenderer, make_restorer
 from recast.simulation.rollout_files import load_coverage, save_coverage
 from recast.simulation.scene_renderer import (
@@ -369,14 +368,12 @@ def make_rollout(
         names = tuple(setup.log.cameras if setup.camera_names is None else setup.camera_names)
         given = planner_cameras(planner, mounts, names) if mounts else ()
         if gap_meter is not None and given:
-            gaps = rollout_gaps(rollout, setup, gap_meter, mounts, given)
+            gaps = rollout_gaps(rollout, gap_meter, mounts, given)
             if gaps is not None:
                 record = GapsRecord(**asdict(gaps)).model_dump(mode="json")
                 files.write_json(folder / _GAPS, record)
         if meter is not None and mounts:
-            coverage = rollout_coverage(
-                rollout, setup, meter, mounts, names if filmed else (), given
-            )
+            coverage = rollout_coverage(rollout, meter, mounts, names if filmed else (), given)
             save_coverage(coverage, folder / _COVERAGE)
         if written:
             named = FilmsRecord(films=written)
@@ -398,11 +395,7 @@ def draw_films(rollout: Rollout, folder: Path) -> dict[str, Path]:
     found = {}
     for name in origin.renderer.mounts:
         found[name] = folder / f"{folder_name(name)}.mp4"
-        setup = origin.setup
-        states = (
-            rollout.state(step, other_poses(setup, rollout.timestamp_us(step)))
-            for step in range(rollout.steps_run)
-        )
+        states = (rollout.state(step) for step in range(rollout.steps_run))
         images = (origin.renderer.render(state, (name,))[name] for state in states)
         write_video(found[name], images, fps=1 / rollout.dt)
     return found
@@ -499,7 +492,7 @@ def rollout_setup(
         map=hdmap,
         steps=config.steps,
         plan_every=config.plan_every,
-        keep_other_actors=config.keep_other_actors,
+        traffic=config.traffic,
         camera_names=config.scene.cameras or tuple(log.cameras),
         start_left=start_left,
         seed=seed,

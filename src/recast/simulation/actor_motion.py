@@ -19,6 +19,8 @@ from recast.logs.hdmap import HdMap
 from recast.logs.types import DrivingLog, Track, Trajectory
 from recast.planning import ActorState, ReferenceRoute, route_lanes
 
+EGO = "ego"
+"""Track id and category of the ego where it is a road user among others."""
 DEFAULT_LANE_OFFSET = 3.5
 """Metres to the neighbouring lane where the map knows none."""
 _STRAIGHT = 1000.0

@@ -16,7 +16,7 @@ from recast.geometry import se2
 from recast.logs import Track, Trajectory
 from recast.logs.motion import logged_velocity
 from recast.planning import WAYPOINTS, ActorState, ReferenceRoute
-from recast.simulation.actor_motion import MotionInput, RoadUsers
+from recast.simulation.actor_motion import EGO, MotionInput, RoadUsers
 from recast.simulation.recorded_road import SMOOTHING, RoadSurface, refuse_if_too_short, who
 from recast.simulation.renderer import SensorRenderer
 from recast.simulation.rollout import (
@@ -85,10 +85,15 @@ class History:
             states = self._states[track_id]
             self._travelled[track_id] += float(np.linalg.norm(state[:2] - states[-1][:2]))
             states.append(state)
+            actor = self._actors[track_id]
+            if actor.in_space is not None:
+                self._poses[track_id].append(actor.in_space())
+                continue
             # Heights are averaged over the past alone: the future is not known yet.
             recent = np.array(states[-2 * SMOOTHING - 1 :])[:, :3]
-            size = self._actors[track_id].track.size
-            self._poses[track_id].append(self._start.surface.actor_poses(recent, size)[-1])
+            self._poses[track_id].append(
+                self._start.surface.actor_poses(recent, actor.track.size)[-1]
+            )
 
     def actor_now(self, track_id: str) -> Array:
         """x, y, heading of the box centre, speed (4,) of a controlled actor now."""
@@ -111,17 +116,14 @@ class History:
         return np.array([*self._logged, *self.ego][-_shown(self._setup.dt) - 1 :])
 
     def road_users(self, foretold: bool = False) -> tuple[ActorState, ...]:
-        """All road users but the ego now: controlled ones, the target first, then logged ones.
+        """All road users but the ego now: controlled ones, the target first, then the traffic.
 
         Args:
-            foretold: fill `ActorState.future`: to the end of the rollout where an actor is
-                scripted, of its label where it is logged; None where it reacts.
+            foretold: fill `ActorState.future` to the end of the rollout where an actor is scripted;
+                None where it reacts.
         """
         controlled = (self._as_road_user(track_id, foretold) for track_id in self._actors)
-        setup = self._setup
-        others = (setup.log.tracks[key] for key in _other_ids(setup))
-        logged = logged_road_users(others, self.timestamp_us(self.step), setup.dt, foretold)
-        return (*controlled, *logged)
+        return tuple(controlled)
 
     def state(self, step: int) -> SimState:
         """The world at a step up to now, read-only.
@@ -133,8 +135,8 @@ class History:
             raise ValueError(f"Simulator.state_at: expected step 0 to {self.step}, got {step}")
         setup, now, time = self._setup, self.ego[step], self.timestamp_us(step)
         controlled = {}
-        for track_id in setup.controlled:
-            logged = setup.track_of(track_id).trajectory
+        for track_id, actor in self._actors.items():
+            logged = actor.track.trajectory
             controlled[track_id] = SimActor(
                 state=self._states[track_id][step],
                 world_from_actor=self._poses[track_id][step],
@@ -151,7 +153,6 @@ class History:
             actor=target.state,
             world_from_actor=target.world_from_actor,
             log_world_from_actor=target.log_world_from_actor,
-            others=other_poses(setup, time),
             further=controlled,
         )
         return read_only(state)
@@ -205,7 +206,7 @@ class History:
             predictions=np.array([plan for _, plan in self.plans]).reshape(-1, WAYPOINTS, 3),
             plan_steps=np.array([step for step, _ in self.plans], np.int64),
             route=start.route.line.points,
-            other_actors=_other_ids(setup),
+            other_actors=tuple(key for key in self._actors if key not in setup.controlled),
             controlled=tuple(further),
             reactive=tuple(key for key, actor in self._actors.items() if actor.reacts),
         )
@@ -237,20 +238,6 @@ class History:
             size=track.size,
             future=future,
         )
-
-
-def _other_ids(setup: RolloutSetup) -> tuple[str, ...]:
-    """Ids of the logged tracks that stay; none by default."""
-    if not setup.keep_other_actors:
-        return ()
-    controlled = setup.controlled
-    return tuple(key for key in setup.log.tracks if key not in controlled)
-
-
-def other_poses(setup: RolloutSetup, timestamp_us: int) -> dict[str, Array]:
-    """Logged `world_from_actor` (4, 4) at a time of the tracks that stay and are labelled then."""
-    trajectories = {key: setup.log.tracks[key].trajectory for key in _other_ids(setup)}
-    return {k: t.at(timestamp_us) for k, t in trajectories.items() if t.covers(timestamp_us)}
 
 
 def logged_road_users(
@@ -299,8 +286,6 @@ def _shown(dt: float) -> int:
     return round(_SHOWN / dt)
 
 
-EGO = "ego"
-"""Track id and category of the ego where it is a road user among others."""
 _EGO_HEIGHT = 1.7
 """Metres: nothing depends on it, since road users are compared from above."""
 
@@ -347,7 +332,7 @@ class ReactiveActors:
             with actor.code.call(f"step {step}"):
                 value = actor.motion.step(read_only(now), self._setup.dt)
             state = checked_state(actor.motion, value, step + 1, self._setup.log.name)
-            if actor.road.outside(state[:2]):
+            if actor.road is not None and actor.road.outside(state[:2]):
                 return moved, actor.road.reason(who(self._setup, track_id), state[:2])
             moved[track_id] = state
         return moved, None
@@ -397,7 +382,7 @@ class PreparedRollout:
         actor: (S+1, 4) the target: x, y, heading of the box centre, speed.
         world_from_actor: (S+1, 4, 4) the target's box centre in space.
         cut_reason: why S is less than asked for; None if it is not.
-        further: the further controlled actors, in order.
+        further: the further controlled actors in order, then the traffic.
     """
 
     route: ReferenceRoute
@@ -434,7 +419,7 @@ def prepare(setup: RolloutSetup) -> PreparedRollout:
         PreparedActor(
             track_id, history.actor_states(track_id, steps), history.actor_poses(track_id, steps)
         )
-        for track_id in setup.controlled
+        for track_id in (actor.track.track_id for actor in start.actors)
     )
     return PreparedRollout(
         route=start.route,

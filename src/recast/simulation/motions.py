@@ -40,7 +40,7 @@ _PATH = Rows(
 )  # fmt: skip
 DRIVER = IdmParameters(max_acceleration=1.5, max_deceleration=2.5, emergency_deceleration=8.0)
 """Accelerations of the driver; gap and headway are the motion's."""
-_CORRIDOR_MARGIN = 0.3
+CORRIDOR_MARGIN = 0.3
 """Metres on each side of the actor's width within which a road user is on its path."""
 
 
@@ -363,7 +363,7 @@ class Idm(BaseMotion):
         """Gaps (L,) in metres, bumper to bumper, and speeds (L,) along the path of all who are
         ahead on it; the last one is nobody, infinitely far."""
         length, width = state.situation.actor_size[:2]
-        half = width / 2 + _CORRIDOR_MARGIN
+        half = width / 2 + CORRIDOR_MARGIN
         users = state.shared
         along, lateral = path.project(users.points)
         offset = lateral[:, 1:] - self.lateral

@@ -230,8 +230,9 @@ class Rollout(Brief):
             plan step, times 0.1 s .. 4.0 s.
         plan_steps: (C,) int64, the step at which each plan was made.
         route: (R, 2) the reference route: the logged ego path, smoothed, rear axle.
-        other_actors: ids of logged tracks that kept their logged motion.
-        controlled: controlled actors beside the target, in order.
+        other_actors: ids of those of `controlled` that no scenario moves: the log's traffic, see
+            `recast.simulation.traffic`.
+        controlled: controlled actors beside the target in order, then the traffic.
         reactive: ids of controlled actors that react: their states depend on the ego's.
         origin: what this process ran it with; None for a rollout that was read. It is not saved,
             compared or pickled.
@@ -277,6 +278,16 @@ class Rollout(Brief):
         return {**self.__dict__, "origin": None}
 
     @property
+    def further(self) -> tuple[ControlledActor, ...]:
+        """The scenario's controlled actors beside the target."""
+        return tuple(one for one in self.controlled if one.track_id not in self.other_actors)
+
+    @property
+    def traffic(self) -> tuple[ControlledActor, ...]:
+        """Road users that no scenario moves."""
+        return tuple(one for one in self.controlled if one.track_id in self.other_actors)
+
+    @property
     def steps_run(self) -> int:
         """Executed steps S."""
         return len(self.ego) - 1
@@ -290,12 +301,8 @@ class Rollout(Brief):
         """Log time of state `step`."""
         return self.start_timestamp_us + round(step * self.dt * 1e6)
 
-    def state(self, step: int, others: Mapping[str, Array] | None = None) -> SimState:
-        """The world at a step, to be rendered again.
-
-        Args:
-            others: `world_from_actor` (4, 4) by track id of logged actors that are drawn too.
-        """
+    def state(self, step: int) -> SimState:
+        """The world at a step, to be rendered again."""
         return SimState(
             step=step,
             timestamp_us=self.timestamp_us(step),
@@ -305,7 +312,6 @@ class Rollout(Brief):
             track_id=self.track_id,
             actor=self.actor[step],
             world_from_actor=self.world_from_actor[step],
-            others={} if others is None else others,
             further={
                 one.track_id: SimActor(one.states[step], one.world_from_actor[step])
                 for one in self.controlled

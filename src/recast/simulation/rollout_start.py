@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import warnings
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -38,6 +39,7 @@ from recast.simulation.recorded_road import (
 from recast.simulation.rollout import PATH_COLUMNS, ego_centre
 from recast.simulation.scenario import start_after
 from recast.simulation.setup import RolloutSetup
+from recast.simulation.traffic import YieldingTraffic, traffic_of
 
 _MIN_START_SPEED = 3.0
 _STRETCH = 10
@@ -54,19 +56,22 @@ class StartingActor:
         track: the actor's track in the log.
         motion: what it does.
         situation: situation in which the motion starts.
-        road: recorded road, on which it may be.
+        road: recorded road, on which it may be; None for traffic, which may come and go.
         states: (S+1, 4) its script; (1, 4) its first state if it reacts.
         world_from_actor: (S+1, 4, 4) or (1, 4, 4), the same in space.
         code: guard of calls of the motion.
+        in_space: gives `world_from_actor` (4, 4) of the state that the motion gave last; None: that
+            is found on the road's surface.
     """
 
     track: Track
     motion: BaseMotion
     situation: StartSituation
-    road: RecordedRoad
+    road: RecordedRoad | None
     states: Array
     world_from_actor: Array
     code: ForeignCode
+    in_space: Callable[[], Array] | None = None
 
     @property
     def reacts(self) -> bool:
@@ -84,7 +89,7 @@ class RolloutStart:
         ego: (S+1, 11) logged ego states.
         first: (11,) the simulated ego's first state: the logged one, or beside it, see
             `RolloutSetup.start_left`.
-        actors: the controlled ones, the target first.
+        actors: the controlled ones, the target first, then the traffic.
         steps: S, which log and scripts allow; the ego and actors that react may leave the road
             earlier.
         ending, cut_reason: why S is what it is; the reason is None if S is what was asked for.
@@ -135,6 +140,7 @@ def start_rollout(setup: RolloutSetup, seed: int = 0) -> RolloutStart:
         for track_id, track in tracks.items()
     ]
     for actor in actors:
+        assert actor.road is not None  # these are no traffic
         path = actor.states[: steps + 1, :2]
         s = along_route(route, path, target.ego_s)
         outside = actor.road.outside(path, s)
@@ -145,6 +151,7 @@ def start_rollout(setup: RolloutSetup, seed: int = 0) -> RolloutStart:
             refuse_if_too_short(setup, steps, reason)
     first = ego.moved_left(state, setup.start_left) if setup.start_left else state
     refuse_starts(setup, road, first, [(a.track, a.motion, a.states[0, :3]) for a in actors])
+    actors += _traffic(setup, target, steps, state, first, actors)
 
     times = start_us + round(setup.dt * 1e6) * np.arange(steps + 1)
     logged = [initial_state(log.timestamps_us, log.poses, int(t), setup.vehicle) for t in times]
@@ -193,8 +200,70 @@ def _begin(
     return StartingActor(track, motion, situation, road, states, np.zeros((0, 4, 4)), code)
 
 
+def _traffic(
+    setup: RolloutSetup,
+    target: StartSituation,
+    steps: int,
+    logged: Array,
+    first: Array,
+    actors: Sequence[StartingActor],
+) -> list[StartingActor]:
+    """The traffic, see `recast.simulation.traffic`.
+
+    A track whose box lies on the ego in the log itself is left out with a warning, and so is one
+    that is not labelled yet and whose continuation would begin in another road user.
+
+    Args:
+        target: situation of the target.
+        logged, first: (11,) first state of the ego, as logged and as simulated.
+        actors: the actors of the scenario.
+
+    Raises:
+        InputError: the ego or an actor of the scenario starts where a labelled track stands.
+    """
+    vehicle, start_us = setup.vehicle, target.start_timestamp_us
+    box = (vehicle.length, vehicle.width)
+    recorded, own = (ego_centre(one[ego.POSE], vehicle.centre_offset) for one in (logged, first))
+    taken = [("the ego", own, box)]
+    for one in actors:
+        name = who(setup, one.track.track_id)
+        taken.append((name, one.states[0, :3], tuple(one.track.size[:2])))
+    found = []
+    times = start_us + round(setup.dt * 1e6) * np.arange(steps + 1)
+    ids = [one.track.track_id for one in actors]
+    for track, motion in traffic_of(setup.log, setup.traffic, ids, times, vehicle):
+        actor = _begin(setup, motion, track, target)
+        pose = actor.states[0, :3]
+        fault = None
+        if boxes.bev_overlap_area(recorded, box, pose, track.size) > TOUCHING:
+            fault = "lies on the ego in the log"
+        for name, there, size in () if fault else taken:
+            area = float(boxes.bev_overlap_area(there, size, pose, track.size))
+            if area <= TOUCHING:
+                continue
+            if track.trajectory.covers(start_us):
+                problem = f"track {track.track_id} and {name} overlap by {area:.2f} m2 at the start"
+                mend = "choose another start, motion or setting, or traffic none"
+                raise InputError(setup.log.name, f"rollout {setup.name}", problem, mend)
+            fault = f"would begin in {name}: it is not labelled yet"
+            break
+        if fault is None:
+            if isinstance(motion, YieldingTraffic):
+                there, in_space = motion.in_space()[None], motion.in_space
+            else:
+                there, in_space = motion.in_space(times), None
+            found.append(replace(actor, road=None, world_from_actor=there, in_space=in_space))
+        else:
+            who_and_why = f"track {track.track_id} is left out of the traffic: it {fault}"
+            text = f"{setup.log.name}: {who_and_why}"
+            warnings.warn(text, RuntimeWarning, stacklevel=2)
+    return found
+
+
 def _lifted(actor: StartingActor, surface: RoadSurface, steps: int) -> StartingActor:
     states = actor.states[: steps + 1]
+    if actor.road is None:  # it is lifted already
+        return replace(actor, states=states)
     poses = surface.actor_poses(states[:, :3], actor.track.size)
     return replace(actor, states=states, world_from_actor=poses)
 

@@ -19,10 +19,8 @@ from recast.core.errors import InputError
 from recast.core.foreign import whole
 from recast.geometry import se3
 from recast.scene.street_scene import GapMeter, SceneRasterizer, StreetScene, ViewGaps
-from recast.simulation.history import other_poses
 from recast.simulation.renderer import BaseRenderer, MountedRenderer, SensorRenderer
 from recast.simulation.rollout import Rollout, SimState
-from recast.simulation.setup import RolloutSetup
 from recast.splats import Window
 
 
@@ -219,7 +217,6 @@ class RolloutGaps:
 
 def rollout_gaps(
     rollout: Rollout,
-    setup: RolloutSetup,
     meter: GapMeter,
     mounts: Mapping[str, CameraMount],
     given: Sequence[str],
@@ -227,7 +224,6 @@ def rollout_gaps(
     """Measure a rollout after it was run, from its poses alone, at every `GAPS_EVERY`th plan step.
 
     Args:
-        setup: what it was run with.
         mounts: cameras as they were rendered; one with distortion is measured without.
         given: names of the planner's cameras.
 
@@ -236,7 +232,7 @@ def rollout_gaps(
     """
     moments = {}
     for step in rollout.plan_steps[::GAPS_EVERY].tolist():
-        poses = _poses_at(rollout, setup, step)
+        poses = _poses_at(rollout, step)
         found = []
         for name in given:
             mount = mounts[name]
@@ -253,9 +249,8 @@ def rollout_gaps(
     return RolloutGaps(mean, moments[worst], worst * rollout.dt)
 
 
-def _poses_at(rollout: Rollout, setup: RolloutSetup, step: int) -> dict[str, Array]:
-    poses = other_poses(setup, rollout.timestamp_us(step))
-    poses |= {one.track_id: one.world_from_actor[step] for one in rollout.controlled}
+def _poses_at(rollout: Rollout, step: int) -> dict[str, Array]:
+    poses = {one.track_id: one.world_from_actor[step] for one in rollout.controlled}
     poses[rollout.track_id] = rollout.world_from_actor[step]
     return poses
 
@@ -353,7 +348,6 @@ class RolloutCoverage:
 
 def rollout_coverage(
     rollout: Rollout,
-    setup: RolloutSetup,
     meter: Meter,
     mounts: Mapping[str, CameraMount],
     recorded: Sequence[str],
@@ -365,14 +359,13 @@ def rollout_coverage(
     rollout costs; at every step it would cost a fifth.
 
     Args:
-        setup: what it was run with.
         mounts: cameras as they were rendered; one with distortion is measured without.
         recorded: names of the cameras of the films.
         given: names of the planner's cameras.
     """
     images = []
     for step in rollout.plan_steps.tolist():
-        poses = _poses_at(rollout, setup, step)
+        poses = _poses_at(rollout, step)
         for name in dict.fromkeys((*recorded, *given)):
             mount = mounts[name]
             camera_from_world = se3.inverse(rollout.world_from_rig[step] @ mount.rig_from_camera)

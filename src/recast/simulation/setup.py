@@ -8,7 +8,7 @@ from abc import abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields
 from pathlib import Path
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING, Literal, Protocol
 
 from recast.arrays import Array
 from recast.core.arguments import check_fields
@@ -41,6 +41,9 @@ from recast.simulation.scenario import (
 
 if TYPE_CHECKING:
     from recast.scene.street_scene import StreetScene
+
+
+TrafficKind = Literal["none", "replay", "idm"]
 
 
 class EgoController(Protocol):
@@ -126,7 +129,9 @@ class RolloutSettings:
         dt: seconds per step and between waypoints, for controller, planner, actor and metrics.
         vehicle: outline and wheelbase of the ego, for controller, planner and metrics.
         controller: executes the plans; it is given `dt` and `vehicle`.
-        keep_other_actors: leave the other logged actors in, on their logged motion.
+        traffic: what the log's other road users do, see `recast.simulation.traffic`: "none" takes
+            them out, as the paper does; "replay" leaves them on their logged motion; "idm" lets
+            them give way on their logged paths.
         road_margin: metres before the end of the logged road at which a rollout is cut.
         camera_names: cameras for `on_frame`, and for planners that do not say which they look at
             (see `planner_cameras`); None for all of the log.
@@ -151,7 +156,7 @@ class RolloutSettings:
     dt: float = 0.1
     vehicle: VehicleParameters = PACIFICA
     controller: EgoController = field(default_factory=LqrController)
-    keep_other_actors: bool = False
+    traffic: TrafficKind = "none"
     road_margin: float = 2.0
     camera_names: Sequence[str] | None = None
     plan_limit_s: float | None = None

@@ -240,10 +240,8 @@ def rollout_drive(
     """
     steps = range(rollout.steps_run + 1)
     times = np.array([rollout.timestamp_us(step) for step in steps])
-    logged = {key: log.tracks[key] for key in rollout.other_actors if key in log.tracks}
-    poses = {key: sampled(track.trajectory, times) for key, track in logged.items()}
-    sizes = {key: track.size for key, track in logged.items()}
-    poses[rollout.track_id], sizes[rollout.track_id] = rollout.world_from_actor, rollout.actor_size
+    poses = {rollout.track_id: rollout.world_from_actor}
+    sizes = {rollout.track_id: rollout.actor_size}
     for one in rollout.controlled:
         poses[one.track_id], sizes[one.track_id] = one.world_from_actor, one.size
     return ViewedDrive(
@@ -252,7 +250,7 @@ def rollout_drive(
         rig=rollout.world_from_rig,
         poses=poses,
         sizes=sizes,
-        controlled=(rollout.track_id, *(one.track_id for one in rollout.controlled)),
+        controlled=tuple(key for key in poses if key not in rollout.other_actors),
         ego_size=_ego_size(*rollout.ego_size),
         ego_offset=rollout.ego_centre_offset,
         logged=np.column_stack(

@@ -83,7 +83,7 @@ class RoundedRenderer(MountedRenderer):
 
 
 def drive(renderer: SensorRenderer) -> tuple[Rollout, list[Mapping[str, Image]]]:
-    setup = RolloutSetup(LOG, MOVING, MOTIONS["cut-in-a"], steps=20, keep_other_actors=True)
+    setup = RolloutSetup(LOG, MOVING, MOTIONS["oncoming-a"], steps=20, traffic="replay")
     planner = Looker()
     return run_rollout(setup, planner, renderer), planner.seen
 

@@ -85,6 +85,10 @@ def played_scenario(setup: RolloutSetup) -> Played:
         InputError: it is refused on this log (`prepare`), or an actor reacts and so has no path.
     """
     prepared = prepare(setup)
+    if setup.traffic == "idm":
+        problem = "gives way: its paths are unknown before it runs"
+        mend = "export a rollout of this scenario, or replay the traffic"
+        raise InputError(setup.log.name, "traffic", problem, mend)
     for track_id, motion in setup.controlled.items():
         if not isinstance(motion, BaseScript):
             problem = (
@@ -103,30 +107,22 @@ def played_scenario(setup: RolloutSetup) -> Played:
         _actor(setup.track_of(key).category, key, setup.track_of(key).size, times, boxes, states)
         for key, (states, boxes) in scripts.items()
     ]
-    others = [] if not setup.keep_other_actors else list(setup.log.tracks)
-    logged = [
-        _logged(setup.log, key, prepared.start_timestamp_us, times)
-        for key in others
-        if key not in scripts
-    ]
     name = f"{scenario_name(setup.motion)} of track {setup.track_id} in {setup.log.name}"
-    return Played(name, setup.description, float(times[-1]), _present(ego, *actors, *logged))
+    return Played(name, setup.description, float(times[-1]), (ego, *actors))
 
 
 def played_rollout(rollout: Rollout, log: DrivingLog) -> Played:
     """A rollout as it was driven, the ego by its planner.
 
     Args:
-        log: log of the rollout, for the categories and for the logged motion of other actors.
+        log: log of the rollout, for the target's category.
 
     Raises:
-        InputError: the log lacks a track of the rollout.
+        InputError: the log lacks the target.
     """
-    ids = [rollout.track_id, *rollout.other_actors]
-    for track_id in ids:
-        if track_id not in log.tracks:
-            mend = "give the log that the rollout was run on"
-            raise InputError(log.name, f"track {track_id}", "is not in the log", mend)
+    if rollout.track_id not in log.tracks:
+        mend = "give the log that the rollout was run on"
+        raise InputError(log.name, f"track {rollout.track_id}", "is not in the log", mend)
     times: Array = np.arange(rollout.steps_run + 1) * np.float64(rollout.dt)
     size = np.array([*rollout.ego_size, EGO_HEIGHT])
     ego = _ego(
@@ -147,11 +143,10 @@ def played_rollout(rollout: Rollout, log: DrivingLog) -> Played:
         _actor(one.category, one.track_id, one.size, times, one.world_from_actor, one.states)
         for one in rollout.controlled
     ]
-    logged = [_logged(log, key, rollout.start_timestamp_us, times) for key in rollout.other_actors]
     text = f"{rollout.arm}, driven by {rollout.planner}"
     if rollout.cut_reason is not None:
         text += f"; ended early: {rollout.cut_reason}"
-    return Played(rollout.name, text, float(times[-1]), _present(ego, *actors, *logged))
+    return Played(rollout.name, text, float(times[-1]), (ego, *actors))
 
 
 def _ego(size: Array, offset: float, times: Array, poses: Array, speed: float) -> Entity:
@@ -166,26 +161,6 @@ def _actor(
     centre = np.array([ahead, 0.0, size[2] / 2])
     poses = boxes @ se3.from_rotation_translation(np.eye(3), -centre)
     return Entity(track_id, category, size, centre, times, poses, float(states[0, 3]))
-
-
-def _logged(log: DrivingLog, name: str, start_us: int, times: Array) -> Entity | None:
-    """A track on its logged motion at those of the times at which it is labelled; None if never."""
-    track = log.tracks[name]
-    stamps = start_us + np.rint(times * 1e6).astype(np.int64)
-    first, last = track.trajectory.timestamps_us[[0, -1]]
-    there = (stamps >= first) & (stamps <= last)
-    if not there.any():
-        return None
-    boxes = track.trajectory.at(stamps[there])
-    steps = np.linalg.norm(np.diff(boxes[:2, :3, 3], axis=0), axis=1)
-    apart = np.diff(times[there][:2])
-    states = np.zeros((1, 4))
-    states[0, 3] = steps[0] / apart[0] if len(steps) else 0.0
-    return _actor(track.category, name, track.size, times[there], boxes, states)
-
-
-def _present(*entities: Entity | None) -> tuple[Entity, ...]:
-    return tuple(one for one in entities if one is not None)
 
 
 # OpenSCENARIO XML 1.2 (ASAM): entities with boxes, starts, and paths with a time at each vertex.
