@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -125,6 +126,23 @@ def require_points(points: NDArray[np.float32], log: DrivingLog, track_id: str) 
             f"has {len(points)} LiDAR points in its boxes, at least {MIN_LIDAR_POINTS} are needed",
             "choose a track that comes nearer: recast log info lists them",
         )
+
+
+def why_not_seen(log: DrivingLog, track_id: str, config: SceneConfig) -> str | None:
+    """Why a vehicle cannot be made from what the log saw of it, in words; None if it can.
+
+    Args:
+        config: settings of the street's scene: cameras, image scale, and held-out frames.
+    """
+    track = track_of(log, track_id)
+    count = len(track_points(log, track).points)
+    if count < MIN_LIDAR_POINTS:
+        return f"it has {count} LiDAR points, fewer than {MIN_LIDAR_POINTS}"
+    scores, left_out = _candidates(log, track, config, training_frames(config))
+    if scores:
+        return None
+    why = Counter(left_out).most_common(1)
+    return f"in no image it is seen well enough: {why[0][0]}" if why else "no camera sees it"
 
 
 def track_of(log: DrivingLog, track_id: str) -> Track:

@@ -47,6 +47,7 @@ class Run:
     cameras: Annotated[tuple[str, ...] | None, shared.CAMERAS] = None
     scale: Annotated[float | None, shared.option(shared.SCALE_HELP, "0.5")] = None
     iterations: Annotated[int | None, shared.option(shared.ITERATIONS_HELP, "2800")] = None
+    complete: Annotated[shared.Names, shared.COMPLETE] = ()
     traffic: Annotated[Literal["none", "replay", "idm"] | None, shared.TRAFFIC] = None
     steps: Annotated[int | None, shared.STEPS] = None
     seed: Annotated[int | None, shared.SEED] = None

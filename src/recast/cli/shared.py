@@ -159,6 +159,12 @@ METRIC = option(
     metavar="NAME",
 )
 STEPS = option("Steps of 0.1 s for each rollout; fewer if the log or the road ends.", "160")
+COMPLETE = option(
+    "Vehicles beside the target that are made complete, too: all, near (within 30 m of the "
+    "recorded ego), or a track id. May be repeated.",
+    "none",
+    metavar="TRACK",
+)
 TRAFFIC = option(
     "What other recorded road users do: none takes them out, replay leaves them on their recorded "
     "motion, idm lets them give way on their recorded paths.",
@@ -285,6 +291,7 @@ _RUN_OPTIONS = {
     "refine": "refine",
     "segmenter": "segmenter",
     "views": "views",
+    "complete": "complete",
     "traffic": "traffic",
     "steps": "steps",
     "seed": "seed",
@@ -298,7 +305,7 @@ def run_options(command: object) -> dict[str, Any]:
     found: dict[str, Any] = {
         member: getattr(command, name, None) for member, name in _RUN_OPTIONS.items()
     }
-    for several in ("arms", "planners", "metrics"):
+    for several in ("arms", "planners", "metrics", "complete"):
         found[several] = found[several] or None
     if found["scene_folder"] is not None:
         found["scene_folder"] = str(found["scene_folder"].absolute())

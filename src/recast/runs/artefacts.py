@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import partial
+from functools import cached_property, partial
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +21,7 @@ from recast.reconstruction import SceneConfig
 from recast.reconstruction.views import is_held_out, modelled_tracks
 from recast.runs.actor import ActorMakers
 from recast.runs.arms import OWN_STREET, PRESETS, Arm, truth_of
+from recast.runs.completion import ALL, NEAR, CompletedVehicles, choose_completed
 from recast.runs.config import RunConfig
 from recast.runs.making import (
     Maker,
@@ -245,9 +246,18 @@ class Artefacts:
         return tuple(dict.fromkeys(t for name in motions for t in self.replaced_tracks(name)))
 
     def replaced_tracks(self, motion: str) -> tuple[str, ...]:
-        """The target, and further actors of a scenario whose vehicles are to be replaced too."""
+        """The target, further actors of a scenario whose vehicles are to be replaced too, and the
+        vehicles that the configuration wants complete."""
         further = replaced_tracks(self.config.motion(motion))
-        return tuple(dict.fromkeys((self.config.track, *further)))
+        return tuple(dict.fromkeys((self.config.track, *further, *self.completion.tracks)))
+
+    @cached_property
+    def completion(self) -> CompletedVehicles:
+        """Vehicles beside the target that are made complete; InputError: `choose_completed`."""
+        config, words = self.config, self.config.complete
+        if not words or not any(arm.generates for arm in self.arms.values()):
+            return CompletedVehicles()
+        return choose_completed(self.source.log, config.track, words, config.scene)
 
     def rollout(
         self, motion: str, planner: str, arm: Arm, timings: Timings | None = None
@@ -392,10 +402,12 @@ class Artefacts:
         return None if arm.made_in in PRESETS else Path(arm.made_in)
 
     def _controlled(self) -> tuple[str, ...]:
-        """All tracks that some scenario controls, the target first."""
+        """All tracks that a street must model: those that some scenario controls, the target
+        first, and those that are named to be complete."""
         motions = [self.config.motion(name) for name in self.config.motions]
         further = [actor.track_id for motion in motions for actor in further_actors(motion)]
-        return tuple(dict.fromkeys((self.config.track, *further)))
+        named = (key for key in self.config.complete if key not in (ALL, NEAR))
+        return tuple(dict.fromkeys((self.config.track, *further, *named)))
 
     def _of_track(self, what: str, arm: Arm, track: str) -> str:
         further = () if track == self.config.track else (track,)

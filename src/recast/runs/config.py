@@ -99,6 +99,13 @@ class RunConfig(Record):
         description="steps of 0.1 s for each rollout; fewer if the log or the road ends",
     )
     plan_every: int = Field(default=5, ge=1, description="steps between two plans")
+    complete: tuple[str, ...] = Field(
+        default=(),
+        description=(
+            "vehicles beside the target that are made complete, too: all, near (within 30 m of the "
+            "recorded ego), or track ids"
+        ),
+    )
     traffic: TrafficKind = Field(
         default="none",
         description=(
@@ -200,7 +207,7 @@ class RunConfig(Record):
         Members that only some runs set are not there in others, so that older runs can be gone on
         with.
         """
-        some = ("restorer", "end_on_contact", "metrics")
+        some = ("restorer", "end_on_contact", "metrics", "complete")
         unset = {name for name in some if not getattr(self, name)}
         return self.model_dump(mode="json", exclude=unset)
 

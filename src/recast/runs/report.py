@@ -43,6 +43,7 @@ from recast.reporting.page import check_out
 from recast.reporting.previews import draw_all_around
 from recast.reporting.tables import depth_facts, score_lines
 from recast.runs.arms import Arm, truth_of
+from recast.runs.completion import choose_completed
 from recast.runs.config import RunConfig
 from recast.runs.rollouts import draw_films, films
 from recast.runs.run_folder import (
@@ -367,8 +368,21 @@ def facts(config: RunConfig, log: DrivingLog) -> tuple[Fact, ...]:
         Fact("Cameras", ", ".join(cameras)),
         Fact("Image size", ", ".join(sorted(sizes)), "pixels, as rendered"),
         *restored,
+        *_others(config, log),
         Fact("Requested length", f"{config.steps * 0.1:g} s", "less if the log or the road ends"),
     )
+
+
+def _others(config: RunConfig, log: DrivingLog) -> list[Fact]:
+    """Vehicles beside the target, and traffic; nothing where the run asks for neither."""
+    found = []
+    if config.complete and any(arm.generates for arm in config.arms):
+        chosen = choose_completed(log, config.track, config.complete, config.scene)
+        left = "; ".join(f"track {key} as reconstructed: {why}" for key, why in chosen.left)
+        found.append(Fact("Complete, too", ", ".join(chosen.tracks) or "none", left))
+    if config.traffic != "none":
+        found.append(Fact("Traffic", config.traffic, "other recorded road users"))
+    return found
 
 
 def headings(log: DrivingLog) -> dict[str, float]:

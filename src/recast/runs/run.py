@@ -103,6 +103,8 @@ def run(
     for arm in artefacts.arms.values():
         if arm.generates:
             artefacts.makers(arm)
+    for line in artefacts.completion.explain():
+        console.print(printable(line), markup=False, highlight=False)
     use_threads(config.threads)
     folder = RunFolder.create_or_resume(
         out, config.resolved(), source.address or source.path, source.hash, place

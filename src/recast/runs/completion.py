@@ -1,0 +1,96 @@
+"""Which vehicles beside the target are made complete, and why others stay reconstructed."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from recast.actors.observe import track_of, why_not_seen
+from recast.core.errors import InputError
+from recast.logs import DrivingLog
+from recast.logs.types import VEHICLES
+from recast.reconstruction import SceneConfig
+from recast.reconstruction.views import modelled_tracks
+
+ALL, NEAR = "all", "near"
+_NEAR = 30.0
+"""Metres from the recorded ego within which a rollout shows a vehicle's sides."""
+
+
+@dataclass(frozen=True)
+class CompletedVehicles:
+    """The choice.
+
+    Attributes:
+        tracks: ids of the vehicles beside the target that are made complete.
+        left: why other vehicles stay as reconstructed, by track id.
+    """
+
+    tracks: tuple[str, ...] = ()
+    left: tuple[tuple[str, str], ...] = ()
+
+    def explain(self) -> list[str]:
+        """Lines for people; none if nothing was asked for."""
+        lines = []
+        if self.tracks:
+            lines.append(f"complete beside the target: tracks {', '.join(self.tracks)}")
+        lines += [f"track {key} stays as reconstructed: {why}" for key, why in self.left]
+        return lines
+
+
+def choose_completed(
+    log: DrivingLog, target: str, words: Sequence[str], config: SceneConfig
+) -> CompletedVehicles:
+    """Choose among cars, vans, trucks and buses.
+
+    Args:
+        target: id of the target, which is always made complete.
+        words: "all", "near" (within 30 m of the recorded ego), or track ids.
+        config: settings of the street: which images may be looked at.
+
+    Raises:
+        InputError: a track is not in the log, is no vehicle, or is seen too little.
+    """
+    named = [word for word in words if word not in (ALL, NEAR)]
+    for key in named:
+        track = track_of(log, key)
+        if track.category not in VEHICLES:
+            problem = f"is a {track.category}, which no generator makes"
+            mend = f"name tracks of the categories {', '.join(VEHICLES)}"
+            raise InputError("`complete`", f"track {key}", problem, mend)
+        why = why_not_seen(log, key, config)
+        if why is not None:
+            raise InputError("`complete`", f"track {key}", why, "leave it out")
+    found, left = list(dict.fromkeys(named)), []
+    wide = [key for key in _asked(log, words) if key not in (*found, target)]
+    modelled = modelled_tracks(log, config) if wide else frozenset()
+    for key in wide:
+        why = why_not_seen(log, key, config)
+        if why is None and key not in modelled:
+            why = "the street has no model of it: it stands still, and is seen too little"
+        if why is None:
+            found.append(key)
+        else:
+            left.append((key, why))
+    return CompletedVehicles(tuple(key for key in found if key != target), tuple(left))
+
+
+def _asked(log: DrivingLog, words: Sequence[str]) -> list[str]:
+    """Vehicles that "all" or "near" stand for, in the order of the log."""
+    vehicles = [key for key, track in log.tracks.items() if track.category in VEHICLES]
+    if ALL in words:
+        return vehicles
+    return [key for key in vehicles if NEAR in words and _distance(log, key) <= _NEAR]
+
+
+def _distance(log: DrivingLog, track: str) -> float:
+    """Least metres between a track's labels and the recorded ego; inf if they share no time."""
+    path, ego = log.tracks[track].trajectory, log.world_from_rig
+    times = path.timestamps_us
+    shared = (times >= ego.timestamps_us[0]) & (times <= ego.timestamps_us[-1])
+    if not shared.any():
+        return np.inf
+    apart = path.poses[shared, :2, 3] - ego.at(times[shared])[:, :2, 3]
+    return float(np.linalg.norm(apart, axis=1).min())

@@ -1,0 +1,95 @@
+"""Vehicles beside the target that are made complete: which, and why others are not."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from recast.cli.main import main
+from recast.core.errors import InputError
+from recast.logs import DrivingLog
+from recast.reconstruction import SceneConfig
+from recast.runs.completion import CompletedVehicles, choose_completed
+
+CONFIG = SceneConfig(scale=1.0)
+
+
+def with_track(log: DrivingLog, key: str, **changes: object) -> DrivingLog:
+    track = replace(log.tracks[key], **changes)  # type: ignore[arg-type]
+    return replace(log, tracks={**log.tracks, key: track})
+
+
+def moved(log: DrivingLog, key: str, metres: float) -> DrivingLog:
+    path = log.tracks[key].trajectory
+    poses = np.array(path.poses)
+    poses[:, 1, 3] += metres
+    return with_track(log, key, trajectory=replace(path, poses=poses))
+
+
+def test_all_near_and_names(tiny_log: DrivingLog) -> None:
+    wanted = CompletedVehicles(("1",))
+    assert choose_completed(tiny_log, "0", ("all",), CONFIG) == wanted
+    assert choose_completed(tiny_log, "0", ("near",), CONFIG) == wanted
+    assert choose_completed(tiny_log, "0", ("1", "0", "all"), CONFIG) == wanted
+    assert choose_completed(tiny_log, "0", (), CONFIG) == CompletedVehicles()
+    assert wanted.explain() == ["complete beside the target: tracks 1"]
+    assert CompletedVehicles().explain() == []
+
+
+def test_who_is_far_away_is_not_near_and_who_is_seen_too_little_is_told(
+    tiny_log: DrivingLog,
+) -> None:
+    far = moved(tiny_log, "1", 300.0)  # no point of the sweeps lies in its boxes there
+    assert choose_completed(far, "0", ("near",), CONFIG) == CompletedVehicles()
+    chosen = choose_completed(far, "0", ("all",), CONFIG)
+    assert chosen.tracks == () and dict(chosen.left) == {
+        "1": "it has 0 LiDAR points, fewer than 20"
+    }
+    assert chosen.explain() == [
+        "track 1 stays as reconstructed: it has 0 LiDAR points, fewer than 20"
+    ]
+    with pytest.raises(InputError, match="track 1: it has 0 LiDAR points"):
+        choose_completed(far, "0", ("1",), CONFIG)
+
+
+def test_an_image_too_small_tells(tiny_log: DrivingLog) -> None:
+    small = CONFIG.model_copy(update={"scale": 0.05})
+    assert "in no image" in dict(choose_completed(tiny_log, "0", ("all",), small).left)["1"]
+
+
+def test_people_are_not_completed_and_named_in_one_line(tiny_log: DrivingLog) -> None:
+    walker = with_track(tiny_log, "1", category="pedestrian")
+    assert choose_completed(walker, "0", ("all",), CONFIG) == CompletedVehicles()
+    with pytest.raises(InputError, match="is a pedestrian, which no generator makes"):
+        choose_completed(walker, "0", ("1",), CONFIG)
+    with pytest.raises(InputError, match="track 9: is not in the log; choose one of: 0, 1"):
+        choose_completed(tiny_log, "0", ("9",), CONFIG)
+
+
+@pytest.mark.whole
+def test_a_run_with_everybody(
+    tiny_log_folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The parked van is complete, too, and stays where it stands; each is made once for the log."""
+    words = ["run", str(tiny_log_folder), "--track", "0", "--motion", "advancing-a"]
+    words += ["--steps", "10", "--iterations", "30", "--scale", "1", "--planner", "idm-follower"]
+    words += ["--generator", "template", "--threads", "1", "--complete", "all"]
+    for kind in ("none", "idm"):
+        out = tmp_path / kind
+        assert main([*words, "--traffic", kind, "--out", str(out)]) == 0
+        assert "complete beside the target: tracks 1" in capsys.readouterr().out
+        record = json.loads((out / "run.json").read_text())
+        assert record["config"]["complete"] == ["all"]
+        assert {"actor/replaced", "actor/replaced/1"} <= set(record["artefacts"])
+        folder = out / "rollouts" / "advancing-a" / "idm-follower" / "replaced"
+        states = json.loads((folder / "states" / "rollout.json").read_text())
+        assert states["other_actors"] == (["1"] if kind == "idm" else [])
+        page = (out / "report" / "index.html").read_text()
+        assert "Complete, too" in page and ("Traffic" in page) == (kind == "idm")
+    again = [record["artefacts"][f"actor/replaced{key}"] for key in ("", "/1")]
+    first = json.loads((tmp_path / "none" / "run.json").read_text())["artefacts"]
+    assert again == [first["actor/replaced"], first["actor/replaced/1"]]
