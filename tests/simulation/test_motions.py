@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from recast.geometry import se2
 from recast.planning import ReferenceRoute
-from recast.simulation import MOTIONS, ScriptMotion, StartSituation
+from recast.simulation import MOTIONS, Along, RouteCrossing, ScriptMotion, StartSituation
 from support.synthetic_drives import drive
 
 STEPS, DT = 160, 0.1
@@ -216,3 +216,80 @@ def test_a_longer_script_begins_like_a_shorter_one() -> None:
         np.testing.assert_array_equal(
             motion.script(start, 30, DT), motion.script(start, 90, DT)[:31]
         )
+
+
+def crossing(**numbers: float) -> RouteCrossing:
+    return RouteCrossing("t", **{"gap": 20.0, "speed": 1.4, "begin": -5.0, **numbers})
+
+
+@settings(max_examples=40, deadline=None)
+@given(
+    speed=st.floats(0.5, 8.0),
+    begin=st.floats(2.0, 20.0),
+    right=st.booleans(),
+    delay=st.floats(0.0, 4.0),
+)
+def test_a_crossing_is_straight_across_at_its_speed(
+    speed: float, begin: float, right: bool, delay: float
+) -> None:
+    side = -1.0 if right else 1.0
+    start = situation(8.0)
+    states, s, lateral = script(crossing(speed=speed, begin=side * begin, delay=delay), start)
+    np.testing.assert_allclose(s, EGO_S + EGO_LENGTH / 2 + 20.0 + SIZE[1] / 2, atol=1e-6)
+    walked = begin - side * lateral
+    assert walked[0] == pytest.approx(0.0, abs=1e-9) and np.all(np.diff(walked) >= -1e-9)
+    standing = int(delay / DT)
+    assert np.all(walked[: standing + 1] < 1e-9)
+    ramp = 0.0 if delay == 0.0 else speed / 3.0
+    late = DT * np.arange(STEPS + 1) > delay + ramp + 2 * DT
+    assert np.allclose(states[late, 3], speed)
+    # Half of the ramp is lost, but for the substep in which it begins.
+    expected = speed * (DT * np.arange(STEPS + 1)[late] - delay - ramp / 2)
+    np.testing.assert_allclose(walked[late], expected, atol=0.02 * speed)
+    np.testing.assert_allclose(states[:, 2], -side * np.pi / 2, atol=1e-6)
+
+
+def test_a_crossing_stops_in_the_middle_for_a_while_or_for_good() -> None:
+    for_good, _, lateral = script(crossing(pause_at=0.5), situation(8.0))
+    assert lateral[-1] == pytest.approx(0.5, abs=1e-6) and for_good[-1, 3] == 0.0
+    _, _, lateral = script(crossing(pause_at=0.5, pause=3.0), situation(8.0))
+    there = np.flatnonzero(np.abs(lateral - 0.5) < 1e-6)
+    assert (there[-1] - there[0]) * DT == pytest.approx(3.0, abs=0.15)
+    assert lateral[-1] > 5.0
+
+
+def test_a_crossing_that_turns_round_comes_back_to_its_kerb() -> None:
+    states, _, lateral = script(crossing(turn_at=-0.5, pause_at=-2.0, pause=1.0), situation(8.0))
+    assert lateral.max() == pytest.approx(-0.5, abs=1e-6)
+    assert lateral[-1] == pytest.approx(-5.0, abs=1e-6) and states[-1, 3] == 0.0
+    assert states[0, 2] == pytest.approx(np.pi / 2)
+    assert states[-1, 2] == pytest.approx(-np.pi / 2)
+    # A pause beyond the place where it turns is never reached.
+    _, _, other = script(crossing(turn_at=-0.5, pause_at=2.0), situation(8.0))
+    _, _, plain = script(crossing(turn_at=-0.5), situation(8.0))
+    np.testing.assert_array_equal(other, plain)
+
+
+@pytest.mark.parametrize(
+    ("numbers", "what"),
+    [
+        ({"begin": 0.0}, "begin: is 0, on the route"),
+        ({"pause_at": -6.0}, "pause_at: is -6, behind"),
+        ({"turn_at": -5.5}, "turn_at: is -5.5, behind"),
+        ({"pause": 2.0}, "pause: is the time at pause_at"),
+    ],
+)
+def test_a_crossing_that_cannot_be_is_refused(numbers: dict[str, float], what: str) -> None:
+    with pytest.raises(ValueError, match=what):
+        crossing(**numbers)
+
+
+def test_who_goes_along_may_move_over() -> None:
+    ride = Along("t", gap=10.0, speed=4.0, lateral=-2.5, to=-0.5, delay=1.0, duration=2.0)
+    _, s, lateral = script(ride, situation(8.0))
+    assert gap(situation(8.0), s[0]) == pytest.approx(10.0)
+    np.testing.assert_allclose(s - s[0], 4.0 * DT * np.arange(STEPS + 1), atol=1e-6)
+    assert np.allclose(lateral[:11], -2.5) and np.allclose(lateral[31:], -0.5)
+    assert lateral[20] == pytest.approx(-1.5)
+    _, _, beside = script(Along("t", gap=10.0, speed=4.0, lateral=-2.5), situation(8.0))
+    assert np.allclose(beside, -2.5)

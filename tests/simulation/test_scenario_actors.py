@@ -130,7 +130,7 @@ def test_it_stands_wherever_a_motion_does(tmp_path: Path) -> None:
 def test_a_name_gives_its_first_setting() -> None:
     assert motion("cut-in") is MOTIONS["cut-in-a"] is motion("cut-in-a")
     assert motion("idm-b") is MOTIONS["idm-b"]
-    with pytest.raises(InputError, match=r"choose one of .*idm-a, idm-b"):
+    with pytest.raises(InputError, match=r"choose one of .*log-replay, idm, with a setting"):
         motion("nothing")
 
 

@@ -9,7 +9,7 @@ import pytest
 
 from recast.cameras import box_rectangle
 from recast.core.errors import InputError
-from recast.geometry import boxes, se2
+from recast.geometry import boxes, se2, se3
 from recast.logs import DrivingLog, Trajectory, read_log
 from recast.synthetic import Oracle, populate, read_truth, world_metadata, world_of
 from recast.synthetic.populate import Footing
@@ -161,3 +161,17 @@ def test_ground_is_felt_and_walls_are_met() -> None:
     assert np.isnan(heights[3])
     way = np.array([[1.0, 1.0], [1.0, 3.0]])
     assert not footing.blocked(way, 0.9) and footing.blocked(way, 1.1)
+
+
+def test_who_leaves_the_own_way_walks_on(world: World) -> None:
+    """Ten steps across the way, 0.1 m each, have the shapes of ten steps along it."""
+    key = next(key for key in people_of(world) if key.startswith("pedestrian"))
+    person = world.vehicles[key]
+    first = person.trajectory.poses[0]
+    away = first @ se3.from_rotation_translation(se3.rotation_z(np.pi / 2), [0.0, 3.0, 0.0])
+    for n in range(10):
+        ahead = se3.from_rotation_translation(np.eye(3), [0.1 * n, 0.0, 0.0])
+        found = person.surface_at(away @ ahead)
+        assert person.model.articulation is not None
+        wanted = person.model.articulation.surface_at(3.0 + 0.1 * n)
+        np.testing.assert_allclose(found.vertices, wanted.vertices, atol=1e-6)

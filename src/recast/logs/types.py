@@ -25,6 +25,8 @@ FRAMES = ("world", "rig")
 """Names of coordinate frames, which sensors cannot have."""
 VEHICLES = ("car", "van", "truck", "bus")
 """Categories of tracks that are motor vehicles with boxes of their own."""
+PEOPLE = ("pedestrian", "cyclist")
+"""Categories of tracks that are people, on foot or riding."""
 
 
 class ImageSource(Protocol):

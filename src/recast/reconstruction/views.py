@@ -18,9 +18,10 @@ from recast.cameras import PinholeCamera, box_rectangle
 from recast.core.errors import InputError
 from recast.geometry import se3
 from recast.logs import CameraStream, DrivingLog, Track, Trajectory, all_track_points
+from recast.logs.types import PEOPLE
 from recast.reconstruction.config import SceneConfig
 from recast.reconstruction.settings import INIT
-from recast.scene.street_scene import ARTICULATED, DEFORMABLE, moves, pose_at, stands
+from recast.scene.street_scene import DEFORMABLE, moves, pose_at, stands
 
 
 @dataclass(frozen=True)
@@ -345,7 +346,7 @@ def _ground(
 def deforms(track: Track, config: SceneConfig) -> bool:
     """Whether an actor is a deformable node: with `deformable`, people and cyclists that move."""
     moving = not stands(track.trajectory)
-    return config.deformable and track.category in ARTICULATED and moving
+    return config.deformable and track.category in PEOPLE and moving
 
 
 def visible_rectangle(size: Array, world_from_box: Array, view: TrainingView) -> Array | None:

@@ -14,7 +14,10 @@ from recast.cameras import CameraMount
 from recast.core import Artefact, Store
 from recast.core.artefact import value_hash
 from recast.core.diagnostics import ProgressBar
+from recast.core.errors import InputError
 from recast.core.foreign import whole
+from recast.core.plugins import GENERATORS
+from recast.logs.types import PEOPLE
 from recast.metrics.plan_agreement import plan_agreement, write_agreement
 from recast.planning import BasePlanner, Planner, looked_at, make_planner
 from recast.reconstruction import SceneConfig
@@ -113,6 +116,24 @@ class Artefacts:
         if key not in self._makers:
             self._makers[key] = ActorMakers.named(*key)
         return self._makers[key]
+
+    def require_vehicles(self) -> None:
+        """Refuse tracks that an arm's generator cannot make.
+
+        Raises:
+            InputError: a track is a person, and the generator is one of recast's own.
+        """
+        for arm in self.arms.values():
+            for track in self.tracks() if arm.generates else ():
+                category = self.source.log.tracks[track].category
+                if category in PEOPLE and GENERATORS.is_own(str(arm.generator)):
+                    raise InputError(
+                        f"arm {arm.name}",
+                        f"track {track}",
+                        f"is a {category}, and {arm.generator} makes vehicles alone",
+                        "give `arm` native, and oracle on a synthetic log; or another `generator`",
+                        "docs/scenarios.md#people",
+                    )
 
     def forget_makers(self) -> None:
         """Let go of the networks of generators and segmenters."""

@@ -43,8 +43,6 @@ from recast.splats import (
 
 DEFORMABLE = frozenset({"pedestrian"})
 """Categories that are not symmetric at every moment."""
-ARTICULATED = frozenset({"pedestrian", "cyclist"})
-"""Categories that have limbs: what deformable nodes are for."""
 MOVED_M = 2.0
 SPREAD_M = 0.5
 CLOCK_TOLERANCE_US = 60_000

@@ -16,10 +16,12 @@ from recast.simulation.actor_motion import (
 from recast.simulation.history import PreparedActor, PreparedRollout, prepare
 from recast.simulation.motions import (
     Advancing,
+    Along,
     CutIn,
     Idm,
     LoggedMotion,
     Oncoming,
+    RouteCrossing,
     Stationary,
     TimedPath,
 )
@@ -86,6 +88,7 @@ __all__ = [
     "PATH_COLUMNS",
     "ActorMotion",
     "Advancing",
+    "Along",
     "AnyMotion",
     "BaseController",
     "BaseMotion",
@@ -116,6 +119,7 @@ __all__ = [
     "RolloutOrigin",
     "RolloutSettings",
     "RolloutSetup",
+    "RouteCrossing",
     "Scenario",
     "ScenarioActor",
     "ScriptMotion",

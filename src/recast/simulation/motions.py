@@ -38,6 +38,11 @@ _PLACE = Quantity("m", -WORLD_REACH, WORLD_REACH)
 _PATH = Rows(
     Quantity("s", -1000.0, 1000.0), _PLACE, _PLACE, Quantity("rad", -10.0, 10.0), least=2
 )  # fmt: skip
+_TURN = 1.3
+"""Seconds in which somebody turns round."""
+_WALKING = 3.0
+"""m/s^2 with which people gain and lose speed."""
+_SUBSTEPS = 10
 DRIVER = IdmParameters(max_acceleration=1.5, max_deceleration=2.5, emergency_deceleration=8.0)
 """Accelerations of the driver; gap and headway are the motion's."""
 CORRIDOR_MARGIN = 0.3
@@ -172,6 +177,128 @@ class Advancing(BaseScript):
 
 
 @dataclass(frozen=True)
+class RouteCrossing(BaseScript):
+    """Crosses the ego's route at right angles, as people on foot and on bicycles do.
+
+    It gains and loses speed with 3 m/s^2, and turns round within 1.3 s.
+
+    Attributes:
+        gap: metres from the ego's front bumper at the start to the actor's nearer side.
+        speed: speed while it moves, m/s.
+        begin: offset from the route at which it begins, metres, left positive; it crosses towards
+            the other side.
+        delay: seconds until it begins.
+        pause_at: offset at which it stops; None: it does not.
+        pause: seconds for which it stops there; None: for good.
+        turn_at: offset at which it turns round and goes back to where it began; None: it does not.
+
+    Raises:
+        ValueError: it begins on the route, or stops or turns where it does not come.
+    """
+
+    setting: str
+    gap: _Gap
+    speed: Annotated[float, Quantity("m/s", 0.0, 20.0, positive=True)]
+    begin: Annotated[float, Quantity("m", -50.0, 50.0)]
+    delay: _Seconds = 0.0
+    pause_at: Annotated[float | None, Quantity("m", -50.0, 50.0)] = None
+    pause: Annotated[float | None, Quantity("s", 0.0, 60.0)] = None
+    turn_at: Annotated[float | None, Quantity("m", -50.0, 50.0)] = None
+    name: str = "crossing"
+    description: str = ""
+
+    def __post_init__(self) -> None:
+        if self.begin == 0.0:
+            raise ValueError("begin: is 0, on the route; give an offset to the left or the right")
+        for name in ("pause_at", "turn_at"):
+            at = getattr(self, name)
+            if at is not None and self._way(at) < 0.0:
+                raise ValueError(f"{name}: is {at:g}, behind where it begins; give another offset")
+        if self.pause is not None and self.pause_at is None:
+            raise ValueError("pause: is the time at pause_at; give pause_at as well")
+
+    def _way(self, offset: float) -> float:
+        """Metres from where it begins to an offset, in the direction in which it crosses."""
+        return (self.begin - offset) * float(np.sign(self.begin))
+
+    def script(self, start: StartSituation, steps: int, dt: float) -> Array:
+        """Straight across; without a delay it moves from the start on."""
+        across, turned, speed = self._walk(steps, dt)
+        side = float(np.sign(self.begin))
+        s = start.ego_s + start.ego_length / 2 + self.gap + float(start.actor_size[1]) / 2
+        poses = start.route.pose(np.full(steps + 1, s), self.begin - side * across)
+        poses[:, 2] += side * np.pi * (turned - 0.5)
+        return _states(poses, speed)
+
+    def _walk(self, steps: int, dt: float) -> tuple[Array, Array, Array]:
+        """Metres across, how far it has turned round in [0, 1], and speed, (steps + 1,) each."""
+        stops: list[tuple[float, float, bool]] = []  # metres across, seconds, turns round there
+        if self.pause_at is not None:
+            stops.append((self._way(self.pause_at), _or_for_good(self.pause), False))
+        if self.turn_at is not None:
+            stops.append((self._way(self.turn_at), _TURN, True))
+            stops = [stop for stop in sorted(stops) if stop[0] <= stops[-1][0]]
+            stops.append((0.0, np.inf, False))
+        fine = dt / _SUBSTEPS
+        across, turned, wait, turning = 0.0, 0.0, self.delay, False
+        speed, direction = self.speed if self.delay == 0.0 else 0.0, 1.0
+        found = np.empty((steps + 1, 3))
+        for k in range(steps * _SUBSTEPS + 1):
+            if k % _SUBSTEPS == 0:
+                found[k // _SUBSTEPS] = across, turned, speed
+            if wait > 1e-9:
+                wait -= fine
+                if turning:
+                    turned = min(turned + fine / _TURN, 1.0)
+                continue
+            turning, left = False, np.inf
+            if stops:
+                left = max((stops[0][0] - across) * direction, 0.0)
+            braking = np.sqrt(2.0 * _WALKING * left)
+            speed = float(min(self.speed, speed + _WALKING * fine, braking))
+            across += direction * min(speed * fine, left)
+            if stops and left <= speed * fine:
+                (across, wait, turning), speed = stops.pop(0), 0.0
+                direction = -direction if turning else direction
+        return found[:, 0], found[:, 1], found[:, 2]
+
+
+@dataclass(frozen=True)
+class Along(BaseScript):
+    """Walks or rides along the ego's route, and may move over.
+
+    Attributes:
+        gap: metres from the ego's front bumper at the start to the actor.
+        speed: speed along the route, m/s.
+        lateral: offset from the route at the start, metres, left positive.
+        to: offset to which it moves; None: it stays at its offset.
+        delay: seconds until it begins to move over.
+        duration: seconds that this takes.
+    """
+
+    setting: str
+    gap: _Gap
+    speed: Annotated[float, Quantity("m/s", 0.0, 50.0)]
+    lateral: _Lateral
+    to: Annotated[float | None, Quantity("m", -20.0, 20.0)] = None
+    delay: _Seconds = 0.0
+    duration: Annotated[float, Quantity("s", 0.0, 60.0, positive=True)] = 2.0
+    name: str = "along"
+    description: str = ""
+
+    def script(self, start: StartSituation, steps: int, dt: float) -> Array:
+        """The offset changes by the quintic of `CutIn`."""
+        now = dt * np.arange(steps + 1)
+        change = 0.0 if self.to is None else self.to - self.lateral
+        u = np.clip((now - self.delay) / self.duration, 0.0, 1.0)
+        lateral = self.lateral + change * u**3 * (10 - 15 * u + 6 * u**2)
+        across = change * u**2 * (30 - 60 * u + 30 * u**2) / self.duration
+        poses = start.route.pose(start.ahead(self.gap) + self.speed * now, lateral)
+        poses[:, 2] += np.arctan2(across, max(self.speed, 0.5))
+        return _states(poses, np.hypot(self.speed, across))
+
+
+@dataclass(frozen=True)
 class LoggedMotion(BaseScript):
     """Drives as logged; after its last label it keeps speed and heading."""
 
@@ -239,6 +366,10 @@ class TimedPath(BaseScript):
         heading = np.interp(now, times, np.unwrap(rows[:, 3]))
         speed = np.linalg.norm(velocity[segment], axis=1)
         return np.concatenate([xy, se2.wrap_angle(heading)[:, None], speed[:, None]], axis=1)
+
+
+def _or_for_good(seconds: float | None) -> float:
+    return np.inf if seconds is None else seconds
 
 
 def _faced(pose: Array, heading: float) -> Array:

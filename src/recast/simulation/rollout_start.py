@@ -19,7 +19,7 @@ from recast.geometry.boxes import TOUCHING
 from recast.geometry.se2 import REACH
 from recast.logs.checks import WORLD_REACH
 from recast.logs.hdmap import HdMap, drivable_region
-from recast.logs.types import Track
+from recast.logs.types import PEOPLE, Track
 from recast.planning import ReferenceRoute
 from recast.simulation.actor_motion import (
     ActorMotion,
@@ -337,7 +337,7 @@ def refuse_starts(
 
     Args:
         road: road from `surveyed_road`. An actor that follows its own logged path was recorded
-            where it stands, so it is not refused by a map.
+            where it stands, so it is not refused by a map; people may stand beside the road.
         ego: (11,) first state of the ego.
         actors: track, motion and (3,) first pose of the box centre, the target first.
 
@@ -354,7 +354,8 @@ def refuse_starts(
             if overlap > TOUCHING:
                 fault = f"{name} and {other} overlap by {overlap:.2f} m2 at the start"
                 break
-        share = 1.0 if motion.follows_log else float(on_road_shares(road, pose, track.size))
+        anywhere = motion.follows_log or track.category in PEOPLE
+        share = 1.0 if anywhere else float(on_road_shares(road, pose, track.size))
         if fault is None and share < ON_ROAD:
             who = "the actor" if target else name
             box = f"{share:.0%} of its box lies on the drivable area"

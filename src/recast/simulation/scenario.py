@@ -20,15 +20,27 @@ from recast.logs.checks import check_name
 from recast.simulation.actor_motion import AnyMotion, BaseMotion, Quantity, Rows, whole_motion
 from recast.simulation.motions import (
     Advancing,
+    Along,
     CutIn,
     Idm,
     LoggedMotion,
     Oncoming,
+    RouteCrossing,
     Stationary,
     TimedPath,
 )
 
-BuiltInMotion = CutIn | Oncoming | Stationary | Advancing | LoggedMotion | Idm | TimedPath
+BuiltInMotion = (
+    CutIn
+    | Oncoming
+    | Stationary
+    | Advancing
+    | RouteCrossing
+    | Along
+    | LoggedMotion
+    | Idm
+    | TimedPath
+)
 """A motion of this package, which a scenario file can describe."""
 VERSION = 1
 
@@ -141,6 +153,8 @@ MOTION_SCHEMAS: Mapping[str, MotionSchema] = {
     "oncoming": _schema_of(Oncoming),
     "stationary": _schema_of(Stationary),
     "advancing": _schema_of(Advancing),
+    "crossing": _schema_of(RouteCrossing),
+    "along": _schema_of(Along),
     "log-replay": _schema_of(LoggedMotion),
     "idm": _schema_of(Idm),
     "timed-path": _schema_of(TimedPath),
@@ -417,6 +431,8 @@ _BUILT_IN = (
     "oncoming-through",
     "stationary",
     "advancing",
+    "crossing",
+    "along",
     "log-replay",
     "idm",
 )
@@ -458,7 +474,8 @@ def parse_motions(name: str) -> tuple[ScriptedMotion, ...]:
             "motion",
             name,
             "is not known",
-            f"choose one of {', '.join(MOTIONS)}, or a scenario file (.yaml)",
+            f"choose one of {', '.join(_BUILT_IN)}, with a setting such as cut-in-a or without; or "
+            "a scenario file (.yaml)",
         )
     own = read_scenario(path)
     for motion in own:

@@ -103,6 +103,10 @@ class VehicleModel:
     articulation: Articulation | None = None
 
 
+_ON_ITS_WAY, _ALONG_ITS_WAY = 1.0, 0.5
+"""Metres beside its own way, and cosine of the turn off it, within which somebody is on it."""
+
+
 @dataclass(frozen=True)
 class Vehicle:
     """One vehicle or person in the world."""
@@ -116,10 +120,17 @@ class Vehicle:
         """Triangles in the actor-local frame when it is at `pose` (4, 4) `world_from_actor`.
 
         What is articulated has the shape of the place on its own way that is nearest to the pose.
+        Off that way, on a scenario's, the metres that it is ahead of the way's start in the
+        direction in which it looks stand for those that it has gone: straight on it walks.
         """
         if self.model.articulation is None:
             return self.model.surface
-        travelled, _ = self._way.to_frenet(pose[:2, 3])
+        place, heading = pose[:2, 3], float(se3.yaw(pose))
+        travelled, beside = self._way.to_frenet(place)
+        turned = np.cos(heading - self._way.heading(travelled))
+        if abs(beside) > _ON_ITS_WAY or turned < _ALONG_ITS_WAY:
+            ahead = np.array([np.cos(heading), np.sin(heading)])
+            travelled = (place - self._way.points[0]) @ ahead
         return self.model.articulation.surface_at(float(travelled))
 
     @cached_property
