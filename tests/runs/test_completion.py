@@ -12,6 +12,7 @@ import pytest
 from recast.cli.main import main
 from recast.core.errors import InputError
 from recast.logs import DrivingLog
+from recast.logs.store import write_log
 from recast.reconstruction import SceneConfig
 from recast.runs.completion import CompletedVehicles, choose_completed
 
@@ -68,6 +69,18 @@ def test_people_are_not_completed_and_named_in_one_line(tiny_log: DrivingLog) ->
         choose_completed(walker, "0", ("1",), CONFIG)
     with pytest.raises(InputError, match="track 9: is not in the log; choose one of: 0, 1"):
         choose_completed(tiny_log, "0", ("9",), CONFIG)
+
+
+@pytest.mark.parametrize("category", ["pedestrian", "cyclist", "misc"])
+def test_a_target_that_no_generator_makes_is_refused_before_anything_is_written(
+    category: str, tiny_log: DrivingLog, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    write_log(with_track(tiny_log, "0", category=category), tmp_path / "log")
+    words = ["run", str(tmp_path / "log"), "--track", "0", "--planner", "idm-follower"]
+    assert main([*words, "--out", str(tmp_path / "run")]) == 2
+    said = capsys.readouterr().err
+    assert f"track 0: is {category}: auto makes cars" in said and said.count("\n") == 1
+    assert not (tmp_path / "run").exists()
 
 
 @pytest.mark.whole

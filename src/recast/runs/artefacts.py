@@ -121,16 +121,17 @@ class Artefacts:
         """Refuse tracks that an arm's generator cannot make.
 
         Raises:
-            InputError: a track is a person, and the generator is one of recast's own.
+            InputError: a track is a person, or "misc" such as a trailer, and the generator is one
+                of recast's own.
         """
         for arm in self.arms.values():
             for track in self.tracks() if arm.generates else ():
                 category = self.source.log.tracks[track].category
-                if category in PEOPLE and GENERATORS.is_own(str(arm.generator)):
+                if category in (*PEOPLE, "misc") and GENERATORS.is_own(str(arm.generator)):
                     raise InputError(
                         f"arm {arm.name}",
                         f"track {track}",
-                        f"is a {category}, and {arm.generator} makes vehicles alone",
+                        f"is {category}: {arm.generator} makes cars, vans, trucks and buses",
                         "give `arm` native, and oracle on a synthetic log; or another `generator`",
                         "docs/scenarios.md#people",
                     )
