@@ -22,7 +22,7 @@ from recast.runs.config import RunConfig
 from recast.runs.run import DemoSize, decided, demo
 from recast.runs.sources import drive_log
 from recast.simulation import parse_motions
-from recast.synthetic import make_world
+from recast.synthetic import make_world, world_metadata
 
 SCENE = "urban-straight"
 TINY = DemoSize(2.0, 192, 128, ("front",), 40, parse_motions("cut-in"), 10, "idm-follower")
@@ -82,7 +82,15 @@ def test_what_is_there_is_used_again(finished: Path) -> None:
 def test_another_demo_in_the_same_folder_is_refused(tmp_path: Path) -> None:
     world = make_world(SCENE, 1, TINY.seconds)
     size = replace(TINY, width=48, height=32)
-    drive_log(world, tmp_path / "log", (48, 32), TINY.cameras, 1, Console(quiet=True))
+    drive_log(
+        lambda: world,
+        world_metadata(world),
+        tmp_path / "log",
+        (48, 32),
+        TINY.cameras,
+        1,
+        Console(quiet=True),
+    )
     with pytest.raises(InputError, match="another drive"):
         run(tmp_path, seed=2, size=size)
 
@@ -131,7 +139,9 @@ def drive(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
     """A log alone, and its target: `finished` takes half a minute, maybe in each worker."""
     world = make_world(SCENE, 1, 1.0)
     path = tmp_path_factory.mktemp("drive") / "log"
-    return drive_log(world, path, (48, 32), ("front",), 1, Console(quiet=True)), world.target
+    return drive_log(
+        lambda: world, world_metadata(world), path, (48, 32), ("front",), 1, Console(quiet=True)
+    ), world.target
 
 
 @pytest.fixture

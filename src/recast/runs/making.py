@@ -94,8 +94,9 @@ def drive_world(
         cameras: names of the cameras that are recorded; none named: all of the rig.
         every: see `synthesize_log`.
     """
+    metadata = world_metadata(world)
     inputs = {
-        "world": world_metadata(world),
+        "world": metadata,
         "image_size": list(image_size),
         "cameras": list(cameras),
         "recipe": RECIPES["log"],
@@ -106,7 +107,9 @@ def drive_world(
         f"log {name}",
         "logs",
         inputs,
-        lambda out: drive_log(world, out / LOG_FOLDER, image_size, cameras, 1, quiet, every),
+        lambda out: drive_log(
+            lambda: world, metadata, out / LOG_FOLDER, image_size, cameras, 1, quiet, every
+        ),
         name,
     )
 

@@ -6,6 +6,7 @@ import io
 from collections.abc import Callable, Iterable, Sequence
 from contextlib import closing
 from dataclasses import dataclass, replace
+from functools import cache, partial
 from itertools import product
 from pathlib import Path
 from typing import Any
@@ -53,7 +54,7 @@ from recast.simulation import (
     scenario_record,
 )
 from recast.simulation.renderer import make_restorer
-from recast.synthetic import World, make_world
+from recast.synthetic import TARGET, World, check_drive, drive_metadata, make_world
 from recast.synthetic.rendering import require_embree
 from recast.viewer import require_viser, write_replay
 
@@ -67,7 +68,7 @@ def run(
     config: RunConfig,
     console: Console,
     store: str | Path | None = None,
-    world: World | None = None,
+    world: Callable[[], World] | None = None,
 ) -> Path:
     """Do the whole job and return the report's `index.html`.
 
@@ -75,7 +76,7 @@ def run(
         log_path: log folder, or its address in object storage.
         out: run folder; one that holds this run already is resumed.
         store: folder or address of the artefacts; beside `out` where none is named.
-        world: what a synthetic log was made from, if it is at hand.
+        world: gives what a synthetic log was made from, if it is at hand.
 
     Raises:
         InputError: bad log, track, planner, generator or segmenter, a camera that the planner wants
@@ -89,7 +90,7 @@ def run(
     if config.scene_folder is not None:
         require_log_of(config.scene_folder, source.log)
     if any(arm.needs_world for arm in config.arms):
-        _ = source.world
+        source.require_world()
     sources = Sources.of(config, source.log.name)
     artefacts = Artefacts(
         open_store(place), source, config, sources, console, source.log.name, config.threads
@@ -313,11 +314,12 @@ def demo(
             written then. Or `out` holds other files, or another process works in it.
     """
     require_embree()  # the truth is ray-traced, and so is the log
-    world = make_world(scene, seed, size.seconds)
+    check_drive(scene, seed, size.seconds)
+    world = cache(partial(make_world, scene, seed, size.seconds))
     motions = {scenario_name(motion): motion for motion in size.motions}
     try:
         config = RunConfig(
-            track=world.target,
+            track=TARGET,
             motions=tuple(motions),
             own_motions={
                 name: scenario_record(m) for name, m in motions.items() if name not in MOTIONS
@@ -332,14 +334,24 @@ def demo(
         )
     except ValidationError as error:
         raise validation_error("options", error, "give a value in range") from None
-    make_planner(config.planners[0])
-    make_generator(config.generator, config.axes)
     out = Path(out)
+    if not (out / RUN_FOLDER / RUN_FILE).exists():  # else the run looks at them
+        make_planner(config.planners[0])
+        make_generator(config.generator, config.axes)
     with files.disk_errors(out):
         out.mkdir(parents=True, exist_ok=True)
     with files.alone_in(out):
         pixels = (size.width, size.height)
-        log = drive_log(world, out / LOG_FOLDER, pixels, size.cameras, threads, console, size.every)
+        log = drive_log(
+            world,
+            drive_metadata(scene, seed, size.seconds),
+            out / LOG_FOLDER,
+            pixels,
+            size.cameras,
+            threads,
+            console,
+            size.every,
+        )
         chosen = _before(out / RUN_FOLDER, config)
         chosen = chosen or decided(log, out / STORE_FOLDER, config, console)
         config = config.model_copy(update={"motions": chosen})

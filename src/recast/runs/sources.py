@@ -23,7 +23,7 @@ from recast.logs.load import local_folder
 from recast.planning import planner_source
 from recast.pretrained import VQA_SCORERS
 from recast.runs.config import RunConfig
-from recast.synthetic import CAMERAS, World, synthesize_log, world_metadata, world_of
+from recast.synthetic import CAMERAS, World, drive_of, synthesize_log, world_of
 from recast.synthetic.rendering import require_embree
 from recast.trellis import RECAST_MINI, recast_mini
 from recast.weights import shipped_folder
@@ -56,21 +56,21 @@ class SourceLog:
 
     Attributes:
         address: address of the log, if that is another place than the folder, which holds a copy.
-        made_from: the world of a synthetic log, where it was at hand.
+        made_from: gives the world of a synthetic log, where it is at hand.
     """
 
     path: Path
     log: DrivingLog
     hash: str
     address: str | None = None
-    made_from: World | None = None
+    made_from: Callable[[], World] | None = None
 
     @classmethod
-    def open(cls, place: str | Path, world: World | None = None) -> SourceLog:
+    def open(cls, place: str | Path, world: Callable[[], World] | None = None) -> SourceLog:
         """Read a log folder, here or in object storage; InputError: see `load_log`.
 
         Args:
-            world: what a synthetic log was made from, if it is at hand.
+            world: gives what a synthetic log was made from, if it is at hand.
         """
         path = local_folder(place)
         remote = remote_path(place) is not None
@@ -89,8 +89,17 @@ class SourceLog:
         Raises:
             InputError: it is a recorded log, or no ray tracer is installed.
         """
+        self.require_world()
+        return world_of(self.log) if self.made_from is None else self.made_from()
+
+    def require_world(self) -> None:
+        """Refuse what `world` would refuse, without making it.
+
+        Raises:
+            InputError: it is a recorded log, or no ray tracer is installed.
+        """
         require_embree()
-        return self.made_from or world_of(self.log)
+        drive_of(self.log)
 
 
 def require_track(log: DrivingLog, path: Path, track: str) -> None:
@@ -105,7 +114,8 @@ def require_track(log: DrivingLog, path: Path, track: str) -> None:
 
 
 def drive_log(
-    world: World,
+    world: Callable[[], World],
+    metadata: Mapping[str, str],
     path: Path,
     image_size: tuple[int, int],
     cameras: tuple[str, ...],
@@ -113,25 +123,28 @@ def drive_log(
     console: Console,
     every: int = 1,
 ) -> Path:
-    """The log of `world` at `path`, its images of width and height pixels.
+    """The log of a world at `path`, its images of width and height pixels.
 
     Args:
+        world: gives the world, if the log is not there yet.
+        metadata: what the log says of the world.
         cameras: names of the cameras that are recorded; none named: all of the rig.
         every: see `synthesize_log`.
 
     Raises:
         InputError: another log lies there, or see `synthesize_log`.
     """
-    console.print(f"[bold]log[/bold] {world.name}, {world.seconds:g} s", highlight=False)
+    seconds = float(metadata["seconds"])
+    console.print(f"[bold]log[/bold] {metadata['scene']}, {seconds:g} s", highlight=False)
     names = cameras or CAMERAS
     if path.exists():
-        _check_same(read_log(path), world, image_size, names, path)
+        _check_same(read_log(path), metadata, image_size, names, path)
         console.print("  exists already")
         return path
     width, height = image_size
-    with ProgressBar("images", console, round(world.seconds * 10 / every) * len(names)) as progress:
+    with ProgressBar("images", console, round(seconds * 10 / every) * len(names)) as progress:
         synthesize_log(
-            world,
+            world(),
             path,
             width=width,
             height=height,
@@ -144,11 +157,14 @@ def drive_log(
 
 
 def _check_same(
-    log: DrivingLog, world: World, image_size: tuple[int, int], names: tuple[str, ...], path: Path
+    log: DrivingLog,
+    wanted: Mapping[str, str],
+    image_size: tuple[int, int],
+    names: tuple[str, ...],
+    path: Path,
 ) -> None:
     shape = {name: (c.camera.width, c.camera.height) for name, c in log.cameras.items()}
-    wanted = world_metadata(world)
-    same = {name: log.metadata.get(name) for name in wanted} == wanted
+    same = all(log.metadata.get(name) == value for name, value in wanted.items())
     if not same or shape != dict.fromkeys(names, image_size):
         raise InputError(
             path, "log", "is of another drive", "name another `out`, or remove this folder"

@@ -1,8 +1,11 @@
 """Synthetic drives with ground truth: streets, vehicles, traffic, sensors, and the oracle."""
 
 from recast.synthetic.populate import (
+    TARGET,
     WORLD_VERSION,
     check_drive,
+    drive_metadata,
+    drive_of,
     is_synthetic,
     make_world,
     world_metadata,
@@ -15,11 +18,14 @@ from recast.synthetic.write import Oracle, check_request, synthesize_log
 __all__ = [
     "CAMERAS",
     "SCENES",
+    "TARGET",
     "WORLD_VERSION",
     "Oracle",
     "World",
     "check_drive",
     "check_request",
+    "drive_metadata",
+    "drive_of",
     "is_synthetic",
     "make_rig",
     "make_world",

@@ -396,24 +396,37 @@ def populate(street: Street, name: str, seed: int, seconds: float, people: bool 
 
 
 def world_metadata(world: World) -> dict[str, str]:
-    """What a log says of the world it shows; `world_of` reads it back.
+    """What a log says of the world it shows; `world_of` reads it back."""
+    drive = (world.name, world.seed, world.seconds, world.light, world.people, world.conditions)
+    return {**drive_metadata(*drive), "target": world.target}
+
+
+def drive_metadata(
+    name: str,
+    seed: int,
+    seconds: float,
+    light: Quality = "standard",
+    people: bool = False,
+    conditions: Conditions = "fair",
+) -> dict[str, str]:
+    """The metadata of the log of `make_world` with these arguments, without making it.
 
     People and conditions are mentioned only where they are not as in earlier releases.
     """
     metadata = {
         "dataset": DATASET,
         "licence": "Apache-2.0",
-        "scene": world.name,
-        "seed": str(world.seed),
-        "seconds": repr(float(world.seconds)),
+        "scene": name,
+        "seed": str(seed),
+        "seconds": repr(float(seconds)),
         "world_version": str(WORLD_VERSION),
-        "target": world.target,
-        "light": world.light,
+        "target": TARGET,
+        "light": light,
     }
-    if world.people:
+    if people:
         metadata["people"] = "yes"
-    if world.conditions != "fair":
-        metadata["conditions"] = world.conditions
+    if conditions != "fair":
+        metadata["conditions"] = conditions
     return metadata
 
 
@@ -423,7 +436,12 @@ def is_synthetic(log: DrivingLog) -> bool:
 
 
 def world_of(log: DrivingLog) -> World:
-    """The world that a synthetic log shows, made again.
+    """The world that a synthetic log shows, made again. Raises InputError: see `drive_of`."""
+    return make_world(*drive_of(log))
+
+
+def drive_of(log: DrivingLog) -> tuple[str, int, float, Quality, bool, Conditions]:
+    """The arguments of `make_world` for the world that a synthetic log shows.
 
     Raises:
         InputError: the log is not synthetic, or another version of recast made it.
@@ -447,7 +465,7 @@ def world_of(log: DrivingLog) -> World:
         raise InputError(
             log.name, "metadata", f"does not name a world ({error})", "make the log again"
         ) from None
-    return make_world(name, seed, seconds, light, people, conditions)
+    return name, seed, seconds, light, people, conditions
 
 
 def _driving(scene: TrafficScene, name: str, seed: int) -> list[PlacedVehicle]:
