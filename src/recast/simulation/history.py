@@ -329,8 +329,9 @@ class ReactiveActors:
                 everyone=everyone,
                 travelled=history.travelled(track_id),
             )
+            given = now if actor.road is None else read_only(now)  # traffic is code of ours
             with actor.code.call(f"step {step}"):
-                value = actor.motion.step(read_only(now), self._setup.dt)
+                value = actor.motion.step(given, self._setup.dt)
             state = checked_state(actor.motion, value, step + 1, self._setup.log.name)
             if actor.road is not None and actor.road.outside(state[:2]):
                 return moved, actor.road.reason(who(self._setup, track_id), state[:2])

@@ -8,10 +8,10 @@ Else the Intelligent Driver Model (docs/scenarios.md#other-traffic) says how fas
 
 from __future__ import annotations
 
+import math
 import warnings
 from collections.abc import Iterable, Mapping
 from functools import cached_property
-from itertools import combinations
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -27,7 +27,6 @@ from recast.simulation.actor_motion import (
     BaseMotion,
     BaseScript,
     MotionInput,
-    RoadUsers,
     StartSituation,
 )
 from recast.simulation.motions import CORRIDOR_MARGIN, DRIVER
@@ -53,6 +52,8 @@ _ELSEWHERE = 0.5
 """Metres from its logged place at which a road user is taken to be elsewhere."""
 _LATE_US = 50_000
 """Microseconds by which a vehicle that is behind its log meets others than it met there."""
+_TOLD = 5
+"""Pairs that a warning names."""
 _SAMPLE_US = 500_000
 """Time between two looks at the boxes of the log."""
 
@@ -74,6 +75,8 @@ class LoggedWay:
         steps = np.linalg.norm(np.diff(self._places, axis=0), axis=1)
         self._driven = np.concatenate([[0.0], np.cumsum(steps)])
         self._ends = self._end_velocity(0), self._end_velocity(-1)
+        self._first_us = int(self._times[0])
+        self._placed = (self._first_us - 1, np.zeros(2))  # the last answer of `place`
 
     def _end_velocity(self, end: int) -> Array:
         """Velocity (2,) with which it comes and goes."""
@@ -107,6 +110,19 @@ class LoggedWay:
     def poses(self, times_us: ArrayLike) -> Array:
         """x, y, heading (..., 3) at times (...)."""
         return np.asarray(se2.from_se3(self.in_space(times_us)))
+
+    def place(self, time_us: int) -> Array:
+        """x, y (2,) at a time; as quick as can be: all drivers ask for those of all others."""
+        if self._placed[0] != time_us:
+            inside = min(max(time_us, self._first_us), self.last_us)
+            beyond = (time_us - inside) * 1e-6
+            x, y = (np.interp(inside, self._times, self._places[:, axis]) for axis in (0, 1))
+            place = np.array([x, y]) + beyond * self._ends[0 if beyond < 0 else 1]
+            self._placed = time_us, place
+        return self._placed[1]
+
+    def __deepcopy__(self, memo: dict[int, object]) -> LoggedWay:
+        return self  # it does not change
 
     def driven(self, time_us: int) -> float:
         """Metres driven from the first label to a time; negative before it."""
@@ -188,18 +204,24 @@ class YieldingTraffic(BaseMotion):
     ) -> None:
         self._way, self._ways, self._together = way, ways, together
         self._clock, self._delayed, self._along = 0, False, 0.0
+        self._pose: Array = np.eye(4)
 
     def start(self, situation: StartSituation) -> Array:
         """The logged state (4,)."""
         self._clock, self._delayed = situation.start_timestamp_us, False
-        pose = self._way.poses(self._clock)
+        state = self._state(self._way.speed(self._clock))
         if self._way.line is not None:
-            self._along = float(self._way.line.to_frenet(pose[:2])[0])
-        return np.append(pose, self._way.speed(self._clock))
+            self._along = float(self._way.line.to_frenet(state[:2])[0])
+        return state
+
+    def _state(self, speed: float) -> Array:
+        """The state (4,) at the clock."""
+        self._pose = self._way.in_space(self._clock)
+        return np.append(se2.from_se3(self._pose), speed)
 
     def in_space(self) -> Array:
         """`world_from_actor` (4, 4) of the state that was given last."""
-        return self._way.in_space(self._clock)
+        return self._pose
 
     def step(self, state: MotionInput, dt: float) -> Array:
         """The state (4,) of the log at a clock that stands still while it has to wait."""
@@ -218,20 +240,26 @@ class YieldingTraffic(BaseMotion):
             self._delayed, speed = True, max(float(limit), 0.0)
             reached = way.driven(self._clock) + speed * dt
             self._clock = max(way.when(reached, self._clock + step), self._clock)
-        return np.append(way.poses(self._clock), speed)
+        return self._state(speed)
 
     def _acceleration(self, state: MotionInput, now: int, speed: float) -> float:
         """What the model allows behind those who matter, m/s^2; inf if nobody does."""
         line, here = self._way.line, state.state[:2]
         assert line is not None
         self._along = float(line.to_frenet(here, self._along)[0])
-        users = [one for one in state.road_users if self._matters(one, here, now)]
-        if not users:
+        everyone = state.shared
+        away = np.linalg.norm(everyone.points[:, 0] - here, axis=1)
+        own = state.situation.track_id
+        met = [
+            k
+            for k in np.flatnonzero(away <= _AHEAD)
+            if everyone.users[k].track_id != own and self._matters(everyone.users[k], now)
+        ]
+        if not met:
             return np.inf
         length, width = state.situation.actor_size[:2]
         half = width / 2 + CORRIDOR_MARGIN
-        seen = RoadUsers(tuple(users))
-        along, lateral = line.to_frenet(seen.points)
+        along, lateral = line.to_frenet(everyone.points[met])
         offset = lateral[:, 1:]
         ahead = (along[:, 0] > self._along) & (offset.min(axis=1) <= half)
         ahead &= offset.max(axis=1) >= -half
@@ -240,19 +268,18 @@ class YieldingTraffic(BaseMotion):
         heading = line.heading(along[ahead, 0])
         direction = np.stack([np.cos(heading), np.sin(heading)], axis=-1)
         gaps = along[ahead, 1:].min(axis=1) - self._along - length / 2
-        speeds = np.sum(seen.velocities[ahead] * direction, axis=1)
+        speeds = np.sum(everyone.velocities[met][ahead] * direction, axis=1)
         target = max(self._way.speed(self._clock), speed, 1.0)
         return float(idm_acceleration(speed, target, gaps, speeds, DRIVER).min())
 
-    def _matters(self, user: ActorState, here: Array, now: int) -> bool:
+    def _matters(self, user: ActorState, now: int) -> bool:
         """Whether a road user may be met that was not met in the log."""
-        away = np.hypot(*(user.pose[:2] - here))
-        if user.track_id in self._together or away > _AHEAD:
+        if user.track_id in self._together:
             return False
         way = self._ways.get(user.track_id)
         if way is None:
             return True
-        elsewhere = np.hypot(*(user.pose[:2] - way.poses(now)[:2])) > _ELSEWHERE
+        elsewhere = math.dist(user.pose[:2], way.place(now)) > _ELSEWHERE
         return bool(elsewhere or (way.moves and now - self._clock > _LATE_US))
 
 
@@ -301,27 +328,27 @@ def traffic_of(
 def _together(tracks: Mapping[str, Track], times: NDArray[np.int64]) -> dict[str, frozenset[str]]:
     """Of each track those whose boxes overlap its own in the log at one of some times."""
     found: dict[str, set[str]] = {key: set() for key in tracks}
-    there = {key: _labelled(one.trajectory, times) for key, one in tracks.items()}
-    for one, other in combinations(tracks, 2):
-        both = np.intersect1d(there[one], there[other])
-        if not len(both):
-            continue
-        a, b = tracks[one], tracks[other]
-        poses = [se2.from_se3(track.trajectory.at(both)) for track in (a, b)]
-        near = (np.hypot(*a.size[:2]) + np.hypot(*b.size[:2])) / 2
-        if np.linalg.norm(poses[0][:, :2] - poses[1][:, :2], axis=1).min() > near:
-            continue
-        if boxes.bev_overlap_area(poses[0], a.size, poses[1], b.size).max() > TOUCHING:
-            found[one].add(other)
-            found[other].add(one)
+    keys, reach = list(tracks), [np.hypot(*one.size[:2]) / 2 for one in tracks.values()]
+    places = np.full((len(keys), len(times), 2), np.nan)
+    for row, track in zip(places, tracks.values(), strict=True):
+        first, last = track.trajectory.timestamps_us[[0, -1]]
+        there = (times >= first) & (times <= last)
+        row[there] = track.trajectory.at(times[there])[:, :2, 3]
+    for k, (one, rest) in enumerate(zip(keys, places, strict=True)):
+        apart = np.linalg.norm(places[k + 1 :] - rest, axis=2)
+        near = apart <= reach[k] + np.array(reach[k + 1 :])[:, None]  # never where NaN
+        for index in np.flatnonzero(near.any(axis=1)):
+            other, both = keys[k + 1 + index], times[near[index]]
+            a, b = tracks[one], tracks[other]
+            poses = [se2.from_se3(track.trajectory.at(both)) for track in (a, b)]
+            if boxes.bev_overlap_area(poses[0], a.size, poses[1], b.size).max() > TOUCHING:
+                found[one].add(other)
+                found[other].add(one)
     pairs = sorted({tuple(sorted((one, other))) for one, of in found.items() for other in of})
     if pairs:
-        named = ", ".join(f"{one} and {other}" for one, other in pairs)
+        named = ", ".join(f"{one} and {other}" for one, other in pairs[:_TOLD])
+        if len(pairs) > _TOLD:
+            named += f", and {len(pairs) - _TOLD} more"
         text = f"boxes of traffic overlap in the log, and do not give way to each other: {named}"
         warnings.warn(text, RuntimeWarning, stacklevel=2)
     return {key: frozenset(of) for key, of in found.items()}
-
-
-def _labelled(path: Trajectory, times: NDArray[np.int64]) -> NDArray[np.int64]:
-    first, last = path.timestamps_us[[0, -1]]
-    return times[(times >= first) & (times <= last)]
