@@ -67,7 +67,7 @@ def test_people_are_not_completed_and_named_in_one_line(tiny_log: DrivingLog) ->
     assert choose_completed(walker, "0", ("all",), CONFIG) == CompletedVehicles()
     with pytest.raises(InputError, match="is a pedestrian, which no generator makes"):
         choose_completed(walker, "0", ("1",), CONFIG)
-    with pytest.raises(InputError, match="track 9: is not in the log; choose one of: 0, 1"):
+    with pytest.raises(InputError, match="track 9: is not in the log; give all, near, or one"):
         choose_completed(tiny_log, "0", ("9",), CONFIG)
 
 

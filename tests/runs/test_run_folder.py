@@ -12,7 +12,7 @@ from recast.core.artefact import folder_hash, value_hash
 from recast.core.errors import InputError
 from recast.reconstruction import resolve_config as scene_config
 from recast.runs.config import RunConfig, resolve_config
-from recast.runs.run_folder import RunFolder, use_name, use_parts
+from recast.runs.run_folder import RUN_FILE, RunFolder, use_name, use_parts
 
 
 def start(path: Path, seed: int = 0, log_hash: str = "abc", store: str = "store") -> RunFolder:
@@ -344,3 +344,18 @@ def test_a_start_that_was_killed_at_once_is_begun_again(tmp_path: Path) -> None:
     (tmp_path / "run").mkdir()
     (tmp_path / "run" / ".run.json.partial").write_text("{")
     assert start(tmp_path / "run").record.config["seed"] == 0
+
+
+def test_a_run_of_before_traffic_is_read_and_gone_on_with(tmp_path: Path) -> None:
+    """Its record has `keep_other_actors`, which is `traffic` now."""
+    config = RunConfig(track="0", motions=("advancing-a",))
+    given = (tmp_path / "run", config.resolved(), tmp_path / "log", "hash", str(tmp_path / "store"))
+    path = RunFolder.create_or_resume(*given).path / RUN_FILE
+    record = json.loads(path.read_text())
+    assert "traffic" not in record["config"]
+    for kept, traffic in ((False, "none"), (True, "replay")):
+        record["config"]["keep_other_actors"] = kept
+        path.write_text(json.dumps(record))
+        assert RunFolder.open(tmp_path / "run").config.traffic == traffic
+        if not kept:
+            assert RunFolder.create_or_resume(*given).config == config

@@ -264,10 +264,20 @@ def test_a_crossing_that_turns_round_comes_back_to_its_kerb() -> None:
     assert lateral[-1] == pytest.approx(-5.0, abs=1e-6) and states[-1, 3] == 0.0
     assert states[0, 2] == pytest.approx(np.pi / 2)
     assert states[-1, 2] == pytest.approx(-np.pi / 2)
-    # A pause beyond the place where it turns is never reached.
-    _, _, other = script(crossing(turn_at=-0.5, pause_at=2.0), situation(8.0))
-    _, _, plain = script(crossing(turn_at=-0.5), situation(8.0))
-    np.testing.assert_array_equal(other, plain)
+    # It stands, then turns round, where both are at one place.
+    states, _, lateral = script(crossing(turn_at=-0.5, pause_at=-0.5, pause=2.0), situation(8.0))
+    there = np.flatnonzero(np.abs(lateral + 0.5) < 1e-6) * DT
+    assert there[-1] - there[0] == pytest.approx(2.0 + 1.3, abs=0.15)
+    assert np.allclose(states[: round((there[0] + 1.9) / DT), 2], np.pi / 2)
+
+
+@pytest.mark.parametrize(
+    "numbers", [{"speed": 8.0, "begin": -4.0, "pause_at": -3.0}, {"pause_at": -5.0}]
+)
+def test_a_crossing_brakes_with_3_m_s2_from_its_first_state_on(numbers: dict[str, float]) -> None:
+    states, _, lateral = script(crossing(**numbers), situation(8.0))
+    assert np.abs(np.diff(states[:, 3])).max() <= 3.0 * DT * 1.2
+    assert lateral[-1] == pytest.approx(numbers["pause_at"], abs=1e-6)
 
 
 @pytest.mark.parametrize(
@@ -277,6 +287,7 @@ def test_a_crossing_that_turns_round_comes_back_to_its_kerb() -> None:
         ({"pause_at": -6.0}, "pause_at: is -6, behind"),
         ({"turn_at": -5.5}, "turn_at: is -5.5, behind"),
         ({"pause": 2.0}, "pause: is the time at pause_at"),
+        ({"pause_at": 1.0, "turn_at": 0.5}, "pause_at: lies beyond turn_at"),
     ],
 )
 def test_a_crossing_that_cannot_be_is_refused(numbers: dict[str, float], what: str) -> None:

@@ -207,16 +207,60 @@ def test_who_stands_in_the_way_is_told() -> None:
         assert run_rollout(setup_of(late, there), LogReplay()).other_actors == ()
 
 
+def test_a_track_that_was_torn_is_one_road_user() -> None:
+    """Of one vehicle with two ids, the second would begin inside the first."""
+    tracks = {
+        "target": driven(30.0, 0.0, 8.0),
+        "part-2": driven(-10.0, 3.5, 8.0, begin=4.1),
+        "part-1": driven(-10.0, 3.5, 8.0, end=4.0),
+    }
+    with pytest.warns(RuntimeWarning, match="track part-2 is left out.* begin in track part-1"):
+        rollout = run_rollout(setup_of(drive(tracks), LoggedMotion()), LogReplay())
+    assert rollout.other_actors == ("part-1",)
+
+
+def test_a_target_may_overlap_where_the_log_has_it_so() -> None:
+    """The trailer of a target on its logged way stays, and does not brake for it."""
+    tracks = {"target": driven(30.0, 3.5, 8.0), "trailer": driven(26.5, 3.5, 8.0)}
+    with pytest.warns(RuntimeWarning, match="overlap in the log.*: target and trailer"):
+        rollout = run_rollout(setup_of(drive(tracks), LoggedMotion()), LogReplay())
+    away = rollout.actor[:, 0] - states(rollout)["trailer"][:, 0]
+    np.testing.assert_allclose(away, 3.5, atol=1e-6)
+    elsewhere = TimedPath("a", ((0.0, 36.0, 3.5, 0.0), (100.0, 836.0, 3.5, 0.0)))
+    with pytest.raises(InputError, match="track trailer and the actor overlap"), pytest.warns():
+        run_rollout(setup_of(drive(tracks), elsewhere), LogReplay())
+
+
+def test_two_who_passed_closely_in_the_log_pass_when_late() -> None:
+    """Boxes 0.25 m apart: each is within the other's margin, and neither may stop for ever."""
+    tracks = {
+        "target": driven(60.0, 30.0, 0.0),
+        "a": driven(-15.0, 5.0, 8.0),
+        "b": labelled([0, 12], [(60.0, 7.05, np.pi), (-36.0, 7.05, np.pi)]),
+    }
+    blocks, gone = (2.0, 5.0, 0.0), (2.0, 60.0, 0.0)
+    rows = tuple(
+        (t, *place) for t, place in ((0.0, blocks), (1.5, blocks), (2.0, gone), (99.0, gone))
+    )
+    rollout = run_rollout(setup_of(drive(tracks), TimedPath("a", rows), steps=100), LogReplay())
+    found = states(rollout)
+    assert found["a"][:, 3].min() < 6.0  # it was held up
+    assert found["a"][-1, 0] > found["b"][-1, 0] and found["a"][-1, 3] > 7.0
+    assert overlaps(rollout, ("a", "b")) == [0.0]
+    assert found["b"][-1, 3] > 7.9
+
+
 def test_who_has_gone_or_stays_far_away_is_no_traffic() -> None:
     tracks = {
         "target": driven(30.0, 0.0, 8.0),
+        "comes": driven(-90.0, 3.5, 8.0, begin=11.0),
         "gone": driven(-10.0, 3.5, 8.0, end=0.9),
         "far": driven(300.0, 0.0, 8.0),
     }
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         rollout = run_rollout(setup_of(drive(tracks), LoggedMotion()), LogReplay())
-    assert rollout.other_actors == ()
+    assert rollout.other_actors == ()  # "comes" is labelled after the end
 
 
 def test_a_branch_goes_on_as_the_whole() -> None:

@@ -216,21 +216,23 @@ def test_a_page_shows_what_a_run_has_made_meanwhile(
         if not later.is_set():
             return None
         if next(broken, False):
-            raise InputError("run.json", "file", "is being written", "wait")
+            raise OSError("run.json is being written")
         return replace(inputs, title="finished")
 
     page = Page(replace(inputs, scenarios=recorded, renew=renew), out=tmp_path, port=8130)
     try:
+        page.playback.add("mine", "native", inputs.drives[0])
+        page.playback.select("recording", "native")
         page.playback.go_to(4)
         page.playback.play(True)
         later.set()
         sleep(0.3)
-        assert list(page.playback.inputs.scenarios) == ["recording"]
+        assert list(page.playback.inputs.scenarios) == ["recording", "mine"]
         page.playback.play(False)
         step = page.playback.step
         page._renewing.join(timeout=20.0)
         assert page.playback.inputs.title == "finished"
-        assert list(page.playback.inputs.scenarios) == ["advancing-a", "recording"]
+        assert list(page.playback.inputs.scenarios) == ["advancing-a", "recording", "mine"]
         assert (page.playback.scenario, page.playback.step) == ("recording", step)
         assert actor_node(page, "native") in seen(page)
     finally:

@@ -10,6 +10,7 @@ import re
 import shutil
 import sys
 import textwrap
+import warnings
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager, redirect_stdout, suppress
 from dataclasses import dataclass
@@ -33,7 +34,7 @@ from recast.cli.scene import Actor, Scene
 from recast.cli.shared import line_of
 from recast.core import diagnostics, files
 from recast.core.diagnostics import Diagnostics
-from recast.core.errors import InputError, nearest
+from recast.core.errors import InputError, nearest, printable
 from recast.core.plugins import INSTALLED_BY
 
 
@@ -117,7 +118,7 @@ def main(args: Sequence[str] | None = None) -> int:
 
             _LOG.debug("recast %s: %s", __version__, words)
         command = _command(words)
-        with _system_errors():
+        with _system_errors(), _plain_warnings():
             code = command()
     except InputError as error:
         _LOG.debug("refused", exc_info=True)
@@ -136,6 +137,17 @@ def main(args: Sequence[str] | None = None) -> int:
         raise
     _LOG.debug("done")
     return code if isinstance(code, int) else 0
+
+
+@contextmanager
+def _plain_warnings() -> Iterator[None]:
+    """Warnings are a line each, without the place in the code that gave them."""
+    before = warnings.formatwarning
+    warnings.formatwarning = lambda message, *_, **__: f"warning: {printable(str(message))}\n"
+    try:
+        yield
+    finally:
+        warnings.formatwarning = before
 
 
 @contextmanager

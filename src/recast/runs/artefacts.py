@@ -277,8 +277,11 @@ class Artefacts:
     def completion(self) -> CompletedVehicles:
         """Vehicles beside the target that are made complete; InputError: `choose_completed`."""
         config, words = self.config, self.config.complete
-        if not words or not any(arm.generates for arm in self.arms.values()):
+        if not words:
             return CompletedVehicles()
+        if not any(arm.generates for arm in self.arms.values()):
+            problem, mend = "is given, but no arm makes vehicles", "give an `arm` such as replaced"
+            raise InputError("`complete`", ", ".join(words), problem, mend)
         return choose_completed(self.source.log, config.track, words, config.scene)
 
     def rollout(
@@ -290,7 +293,7 @@ class Artefacts:
             timings: timings that those of the rollout are added to, if it is made now.
         """
         config, looks = self.config, self.looks(planner)
-        tracks = self.replaced_tracks(motion)
+        tracks, bare = self.replaced_tracks(motion), config.traffic == "none"
         inputs: dict[str, Any] = {
             "log": self.source.hash,
             "track": config.track,
@@ -300,7 +303,8 @@ class Artefacts:
             "planner_device": config.planner_device,
             "steps": config.steps,
             "plan_every": config.plan_every,
-            "traffic": config.traffic,
+            # Without traffic, keys are those of earlier releases.
+            **({"keep_other_actors": False} if bare else {"traffic": config.traffic}),
             "plan_limit_s": config.plan_limit_s,
             "films": config.films,
             "cameras": list(config.scene.cameras),

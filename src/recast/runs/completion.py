@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from recast.actors.observe import track_of, why_not_seen
+from recast.actors.observe import why_not_seen
 from recast.core.errors import InputError
 from recast.logs import DrivingLog
 from recast.logs.types import VEHICLES
@@ -55,7 +55,10 @@ def choose_completed(
     """
     named = [word for word in words if word not in (ALL, NEAR)]
     for key in named:
-        track = track_of(log, key)
+        if key not in log.tracks:
+            mend = f"give {ALL}, {NEAR}, or one of {', '.join(log.tracks)}"
+            raise InputError("`complete`", f"track {key}", "is not in the log", mend)
+        track = log.tracks[key]
         if track.category not in VEHICLES:
             problem = f"is a {track.category}, which no generator makes"
             mend = f"name tracks of the categories {', '.join(VEHICLES)}"

@@ -156,6 +156,11 @@ class RunConfig(Record):
         default={}, description="settings of the presets that arms name"
     )
 
+    @model_validator(mode="before")
+    @classmethod
+    def _as_written_now(cls, value: Any) -> Any:
+        return as_written_now(value) if isinstance(value, dict) else value
+
     @field_validator("own_motions")
     @classmethod
     def _own_motions_are_motions(cls, value: dict[str, dict[str, Any]]) -> dict[str, Any]:
@@ -209,7 +214,18 @@ class RunConfig(Record):
         """
         some = ("restorer", "end_on_contact", "metrics", "complete")
         unset = {name for name in some if not getattr(self, name)}
+        if self.traffic == "none":
+            unset.add("traffic")
         return self.model_dump(mode="json", exclude=unset)
+
+
+def as_written_now(config: dict[str, Any]) -> dict[str, Any]:
+    """A configuration of a run with its members as they are called now: what is `traffic` was
+    `keep_other_actors`."""
+    if "keep_other_actors" not in config:
+        return config
+    kept = {name: value for name, value in config.items() if name != "keep_other_actors"}
+    return {**kept, "traffic": "replay"} if config["keep_other_actors"] is True else kept
 
 
 _OF_THE_RUN = ("generator", "axes", "refine", "segmenter", "views")

@@ -15,7 +15,7 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any, Literal
 
-from pydantic import Field
+from pydantic import Field, field_validator
 
 from recast import __version__
 from recast.core import Artefact, Store, files, open_store
@@ -24,7 +24,7 @@ from recast.core.errors import InputError
 from recast.core.files import folder_name
 from recast.core.records import Record, parse_record, read_record
 from recast.logs.load import local_folder
-from recast.runs.config import CONFIG_VERSION, RunConfig
+from recast.runs.config import CONFIG_VERSION, RunConfig, as_written_now
 
 STORE_FOLDER = "store"
 """Name of the store beside the run folders, where no other is named."""
@@ -104,6 +104,11 @@ class RunRecord(Record):
     versions: dict[str, str]
     artefacts: dict[str, str] = Field(default_factory=dict)
     finished: dict[str, str] = Field(default_factory=dict)
+
+    @field_validator("config")
+    @classmethod
+    def _as_written_now(cls, value: dict[str, Any]) -> dict[str, Any]:
+        return as_written_now(value)
 
 
 @dataclass

@@ -314,15 +314,18 @@ def run_inputs(path: Path, only: Sequence[Path] = ()) -> ViewInputs:
         InputError: it is no run, its log or an artefact is gone, or none of its rollouts can be
             shown.
     """
+    written = written_ns(path / RUN_FILE)  # before all else: what is written later is news
     folder = RunFolder.open(path)
     log = read_log(folder.log_path)
     opened = _Opened(path, only, folder, folder.config, folder.store(), log)
-    inputs, before = opened.inputs(), opened.state()
+    before = (written, *opened.trained())
+    inputs = opened.inputs()
     if not opened.goes_on():
         return inputs
 
     def renew() -> ViewInputs | None:
-        return None if opened.state() == before else run_inputs(path, only)
+        now = (written_ns(path / RUN_FILE), *opened.trained())
+        return None if now == before else run_inputs(path, only)
 
     return replace(inputs, renew=renew)
 
@@ -369,11 +372,10 @@ class _Opened:
         wanted = product(config.motions, config.planners, [arm.name for arm in config.arms])
         return any(rollout_name(*names) not in made for names in wanted)
 
-    def state(self) -> tuple[int | None, ...]:
-        """When files that tell of a run's progress were last written, in nanoseconds."""
-        trained = [self._training(arm.made_in) for arm in self.config.arms]
-        files = [self.path / RUN_FILE, *(folder / CHECKPOINT for folder in filter(None, trained))]
-        return tuple(written_ns(file) for file in files)
+    def trained(self) -> tuple[int | None, ...]:
+        """When the checkpoints of streets in training were last written, in nanoseconds."""
+        folders = [self._training(arm.made_in) for arm in self.config.arms]
+        return tuple(written_ns(folder / CHECKPOINT) for folder in filter(None, folders))
 
     def inputs(self) -> ViewInputs:
         config = self.config

@@ -214,6 +214,9 @@ class RouteCrossing(BaseScript):
             at = getattr(self, name)
             if at is not None and self._way(at) < 0.0:
                 raise ValueError(f"{name}: is {at:g}, behind where it begins; give another offset")
+        turn = np.inf if self.turn_at is None else self._way(self.turn_at)
+        if self.pause_at is not None and self._way(self.pause_at) > turn:
+            raise ValueError("pause_at: lies beyond turn_at; give an offset before that")
         if self.pause is not None and self.pause_at is None:
             raise ValueError("pause: is the time at pause_at; give pause_at as well")
 
@@ -237,11 +240,12 @@ class RouteCrossing(BaseScript):
             stops.append((self._way(self.pause_at), _or_for_good(self.pause), False))
         if self.turn_at is not None:
             stops.append((self._way(self.turn_at), _TURN, True))
-            stops = [stop for stop in sorted(stops) if stop[0] <= stops[-1][0]]
             stops.append((0.0, np.inf, False))
         fine = dt / _SUBSTEPS
         across, turned, wait, turning = 0.0, 0.0, self.delay, False
         speed, direction = self.speed if self.delay == 0.0 else 0.0, 1.0
+        if stops:
+            speed = min(speed, float(np.sqrt(2.0 * _WALKING * stops[0][0])))
         found = np.empty((steps + 1, 3))
         for k in range(steps * _SUBSTEPS + 1):
             if k % _SUBSTEPS == 0:

@@ -53,8 +53,9 @@ class SimState:
         actor: (4,) x, y, heading of its box centre, speed.
         world_from_actor: (4, 4) its box centre in space.
         log_world_from_actor: (4, 4) where the log has it now; None where it is not labelled.
-        others: `world_from_actor` (4, 4) by track id, of logged actors that stay in the scene.
-        further: the further controlled actors by track id.
+        others: `world_from_actor` (4, 4) by track id of road users at a moment of the log; none in
+            a rollout.
+        further: the further controlled actors and the traffic by track id.
     """
 
     step: int

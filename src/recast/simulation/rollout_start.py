@@ -22,6 +22,7 @@ from recast.logs.hdmap import HdMap, drivable_region
 from recast.logs.types import PEOPLE, Track
 from recast.planning import ReferenceRoute
 from recast.simulation.actor_motion import (
+    EGO,
     ActorMotion,
     BaseMotion,
     BaseScript,
@@ -39,7 +40,7 @@ from recast.simulation.recorded_road import (
 from recast.simulation.rollout import PATH_COLUMNS, ego_centre
 from recast.simulation.scenario import start_after
 from recast.simulation.setup import RolloutSetup
-from recast.simulation.traffic import YieldingTraffic, traffic_of
+from recast.simulation.traffic import ELSEWHERE, YieldingTraffic, traffic_of
 
 _MIN_START_SPEED = 3.0
 _STRETCH = 10
@@ -211,7 +212,8 @@ def _traffic(
     """The traffic, see `recast.simulation.traffic`.
 
     A track whose box lies on the ego in the log itself is left out with a warning, and so is one
-    that is not labelled yet and whose continuation would begin in another road user.
+    that is not labelled yet and whose continuation would begin in another road user: labels of one
+    vehicle may be torn into two tracks.
 
     Args:
         target: situation of the target.
@@ -224,40 +226,58 @@ def _traffic(
     vehicle, start_us = setup.vehicle, target.start_timestamp_us
     box = (vehicle.length, vehicle.width)
     recorded, own = (ego_centre(one[ego.POSE], vehicle.centre_offset) for one in (logged, first))
-    taken = [("the ego", own, box)]
+    taken = [(EGO, "the ego", own, box)]
     for one in actors:
         name = who(setup, one.track.track_id)
-        taken.append((name, one.states[0, :3], tuple(one.track.size[:2])))
-    found = []
+        taken.append((one.track.track_id, name, one.states[0, :3], tuple(one.track.size[:2])))
+    found: dict[str, StartingActor] = {}
     times = start_us + round(setup.dt * 1e6) * np.arange(steps + 1)
     ids = [one.track.track_id for one in actors]
-    for track, motion in traffic_of(setup.log, setup.traffic, ids, times, vehicle):
+    members = traffic_of(setup.log, setup.traffic, ids, times, vehicle)
+    for track, motion, together in sorted(
+        members, key=lambda one: not _labelled(one.track, start_us)
+    ):
         actor = _begin(setup, motion, track, target)
-        pose = actor.states[0, :3]
+        pose, key = actor.states[0, :3], track.track_id
+        hit = [
+            (other, name, area)
+            for other, name, there, size in taken
+            if (area := float(boxes.bev_overlap_area(there, size, pose, track.size))) > TOUCHING
+            and not (other in together and _as_logged(setup, other, there, start_us))
+        ]
         fault = None
         if boxes.bev_overlap_area(recorded, box, pose, track.size) > TOUCHING:
             fault = "lies on the ego in the log"
-        for name, there, size in () if fault else taken:
-            area = float(boxes.bev_overlap_area(there, size, pose, track.size))
-            if area <= TOUCHING:
-                continue
-            if track.trajectory.covers(start_us):
-                problem = f"track {track.track_id} and {name} overlap by {area:.2f} m2 at the start"
-                mend = "choose another start, motion or setting, or traffic none"
-                raise InputError(setup.log.name, f"rollout {setup.name}", problem, mend)
-            fault = f"would begin in {name}: it is not labelled yet"
-            break
-        if fault is None:
-            if isinstance(motion, YieldingTraffic):
-                there, in_space = motion.in_space()[None], motion.in_space
-            else:
-                there, in_space = motion.in_space(times), None
-            found.append(replace(actor, road=None, world_from_actor=there, in_space=in_space))
-        else:
-            who_and_why = f"track {track.track_id} is left out of the traffic: it {fault}"
-            text = f"{setup.log.name}: {who_and_why}"
+        elif hit and not _labelled(track, start_us):
+            fault = f"would begin in {hit[0][1]}: it is not labelled yet"
+        elif hit:
+            problem = f"track {key} and {hit[0][1]} overlap by {hit[0][2]:.2f} m2 at the start"
+            mend = "choose another start, motion or setting, or traffic none"
+            raise InputError(setup.log.name, f"rollout {setup.name}", problem, mend)
+        if fault is not None:
+            text = f"{setup.log.name}: track {key} is left out of the traffic: it {fault}"
             warnings.warn(text, RuntimeWarning, stacklevel=2)
-    return found
+            continue
+        taken.append((key, f"track {key}", pose, tuple(track.size[:2])))
+        if isinstance(motion, YieldingTraffic):
+            there, in_space = motion.in_space()[None], motion.in_space
+        else:
+            there, in_space = motion.in_space(times), None
+        found[key] = replace(actor, road=None, world_from_actor=there, in_space=in_space)
+    return [found[key] for key in setup.log.tracks if key in found]
+
+
+def _labelled(track: Track, time_us: int) -> bool:
+    return track.trajectory.covers(time_us)
+
+
+def _as_logged(setup: RolloutSetup, track_id: str, pose: Array, time_us: int) -> bool:
+    """Whether a road user is where the log has it."""
+    track = setup.log.tracks.get(track_id)
+    if track is None or not _labelled(track, time_us):
+        return False
+    away = track.trajectory.at(time_us)[:2, 3] - pose[:2]
+    return float(np.linalg.norm(away)) <= ELSEWHERE
 
 
 def _lifted(actor: StartingActor, surface: RoadSurface, steps: int) -> StartingActor:

@@ -12,6 +12,7 @@ import math
 import warnings
 from collections.abc import Iterable, Mapping
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -40,6 +41,8 @@ _AHEAD = 80.0
 """Metres within which a driver looks at others."""
 _END_US = 1_000_000
 """Time at each end of the labels over which the speed of the continuation is taken."""
+_SHORTEST_US = 50_000
+"""Time between two labels that tell a speed."""
 _STANDING = 0.5
 """m/s; slower ends of labels are noise of a vehicle that stands."""
 _MOVES = 1.0
@@ -48,7 +51,7 @@ _STEP = 0.25
 """Metres between two points of a path."""
 _EXTENSION = 200.0
 """Metres by which a path goes straight on beyond its ends."""
-_ELSEWHERE = 0.5
+ELSEWHERE = 0.5
 """Metres from its logged place at which a road user is taken to be elsewhere."""
 _LATE_US = 50_000
 """Microseconds by which a vehicle that is behind its log meets others than it met there."""
@@ -66,6 +69,7 @@ class LoggedWay:
 
     Attributes:
         moves: whether it is more than a vehicle that stands.
+        first_us, last_us: time of the first and the last label.
     """
 
     def __init__(self, path: Trajectory) -> None:
@@ -75,27 +79,18 @@ class LoggedWay:
         steps = np.linalg.norm(np.diff(self._places, axis=0), axis=1)
         self._driven = np.concatenate([[0.0], np.cumsum(steps)])
         self._ends = self._end_velocity(0), self._end_velocity(-1)
-        self._first_us = int(self._times[0])
-        self._placed = (self._first_us - 1, np.zeros(2))  # the last answer of `place`
+        self.first_us, self.last_us = int(self._times[0]), int(self._times[-1])
+        self._placed = (self.first_us - 1, np.zeros(2))  # the last answer of `place`
 
     def _end_velocity(self, end: int) -> Array:
         """Velocity (2,) with which it comes and goes."""
         time = int(self._times[end])
         around = np.clip([time - _END_US, time + _END_US], *self._times[[0, -1]])
-        if not self.moves or around[0] == around[1]:
+        if not self.moves or around[1] - around[0] < _SHORTEST_US:
             return np.zeros(2)
         before, after = self._path.at(around)[:, :2, 3]
         velocity: Array = (after - before) / ((around[1] - around[0]) * 1e-6)
         return velocity if np.linalg.norm(velocity) >= _STANDING else np.zeros(2)
-
-    def covers(self, time_us: int) -> bool:
-        """Whether it is labelled at a time."""
-        return self._path.covers(time_us)
-
-    @property
-    def last_us(self) -> int:
-        """Time of the last label."""
-        return int(self._times[-1])
 
     def in_space(self, times_us: ArrayLike) -> Array:
         """`world_from_object` (..., 4, 4) at times (...)."""
@@ -114,7 +109,7 @@ class LoggedWay:
     def place(self, time_us: int) -> Array:
         """x, y (2,) at a time; as quick as can be: all drivers ask for those of all others."""
         if self._placed[0] != time_us:
-            inside = min(max(time_us, self._first_us), self.last_us)
+            inside = min(max(time_us, self.first_us), self.last_us)
             beyond = (time_us - inside) * 1e-6
             x, y = (np.interp(inside, self._times, self._places[:, axis]) for axis in (0, 1))
             place = np.array([x, y]) + beyond * self._ends[0 if beyond < 0 else 1]
@@ -258,19 +253,20 @@ class YieldingTraffic(BaseMotion):
         if not met:
             return np.inf
         length, width = state.situation.actor_size[:2]
-        half = width / 2 + CORRIDOR_MARGIN
         along, lateral = line.to_frenet(everyone.points[met])
+        heading = line.heading(along[:, 0])
+        direction = np.stack([np.cos(heading), np.sin(heading)], axis=-1)
+        speeds = np.sum(everyone.velocities[met] * direction, axis=1)
+        # Who comes towards it may pass closely: else two would block each other for ever.
+        half = width / 2 + np.where(speeds < 0.0, 0.0, CORRIDOR_MARGIN)
         offset = lateral[:, 1:]
         ahead = (along[:, 0] > self._along) & (offset.min(axis=1) <= half)
         ahead &= offset.max(axis=1) >= -half
         if not ahead.any():
             return np.inf
-        heading = line.heading(along[ahead, 0])
-        direction = np.stack([np.cos(heading), np.sin(heading)], axis=-1)
         gaps = along[ahead, 1:].min(axis=1) - self._along - length / 2
-        speeds = np.sum(everyone.velocities[met][ahead] * direction, axis=1)
         target = max(self._way.speed(self._clock), speed, 1.0)
-        return float(idm_acceleration(speed, target, gaps, speeds, DRIVER).min())
+        return float(idm_acceleration(speed, target, gaps, speeds[ahead], DRIVER).min())
 
     def _matters(self, user: ActorState, now: int) -> bool:
         """Whether a road user may be met that was not met in the log."""
@@ -279,8 +275,16 @@ class YieldingTraffic(BaseMotion):
         way = self._ways.get(user.track_id)
         if way is None:
             return True
-        elsewhere = math.dist(user.pose[:2], way.place(now)) > _ELSEWHERE
+        elsewhere = math.dist(user.pose[:2], way.place(now)) > ELSEWHERE
         return bool(elsewhere or (way.moves and now - self._clock > _LATE_US))
+
+
+class Member(NamedTuple):
+    """A track of the traffic, what it does, and the tracks that overlap it in the log."""
+
+    track: Track
+    motion: ReplayedTraffic | YieldingTraffic
+    together: frozenset[str]
 
 
 def traffic_of(
@@ -289,11 +293,12 @@ def traffic_of(
     controlled: Iterable[str],
     times_us: NDArray[np.int64],
     vehicle: VehicleParameters,
-) -> list[tuple[Track, ReplayedTraffic | YieldingTraffic]]:
+) -> list[Member]:
     """The traffic of a rollout in the order of the log's tracks.
 
-    It has all tracks but the controlled ones that come within 100 m of the logged ego, and whose
-    labels do not end before the start. Warns of boxes that overlap in the log.
+    It has all tracks but the controlled ones that come within 100 m of the logged ego, and that
+    are labelled during the rollout, or stand there later. Warns of boxes that overlap in the log,
+    since they do not give way to each other.
 
     Args:
         controlled: ids of tracks that move otherwise.
@@ -314,15 +319,20 @@ def traffic_of(
         for key, way in ways.items()
         if key not in fixed
         and way.last_us >= start_us
+        and (way.first_us <= times_us[-1] or not way.moves)
         and np.linalg.norm(way.poses(times)[:, :2] - there, axis=1).min() <= _REACH
     ]
-    if kind == "replay":
-        return [(log.tracks[key], ReplayedTraffic(ways[key])) for key in chosen]
-    together = _together({key: log.tracks[key] for key in chosen}, times)
+    together = _together({key: log.tracks[key] for key in (*chosen, *sorted(fixed))}, times)
     everyone = {**ways, EGO: ego}
-    return [
-        (log.tracks[key], YieldingTraffic(ways[key], everyone, together[key])) for key in chosen
-    ]
+
+    def motion(key: str) -> ReplayedTraffic | YieldingTraffic:
+        if kind == "replay":
+            return ReplayedTraffic(ways[key])
+        return YieldingTraffic(ways[key], everyone, together[key])
+
+    if kind == "idm":
+        _warn_of(together, chosen)
+    return [Member(log.tracks[key], motion(key), together[key]) for key in chosen]
 
 
 def _together(tracks: Mapping[str, Track], times: NDArray[np.int64]) -> dict[str, frozenset[str]]:
@@ -344,11 +354,14 @@ def _together(tracks: Mapping[str, Track], times: NDArray[np.int64]) -> dict[str
             if boxes.bev_overlap_area(poses[0], a.size, poses[1], b.size).max() > TOUCHING:
                 found[one].add(other)
                 found[other].add(one)
-    pairs = sorted({tuple(sorted((one, other))) for one, of in found.items() for other in of})
+    return {key: frozenset(of) for key, of in found.items()}
+
+
+def _warn_of(together: Mapping[str, frozenset[str]], chosen: Iterable[str]) -> None:
+    pairs = sorted({tuple(sorted((one, other))) for one in chosen for other in together[one]})
     if pairs:
         named = ", ".join(f"{one} and {other}" for one, other in pairs[:_TOLD])
         if len(pairs) > _TOLD:
             named += f", and {len(pairs) - _TOLD} more"
         text = f"boxes of traffic overlap in the log, and do not give way to each other: {named}"
         warnings.warn(text, RuntimeWarning, stacklevel=2)
-    return {key: frozenset(of) for key, of in found.items()}

@@ -84,16 +84,13 @@ class Page:
         self._renewing = Thread(target=self._renew, name="recast-viewer-renewal", daemon=True)
         self._renewing.start()
 
-    def _open(self, inputs: ViewInputs, shown: Shown | None = None) -> None:
-        """Fill the page; `shown` is taken up where there is such a scenario and arm."""
+    def _open(self, inputs: ViewInputs) -> None:
+        """Fill the page."""
         self.playback = playback = Playback(inputs)
         self._tracks: TrackPanel | None = None
+        self._runs: RunPanel | None = None
         self._pictures_at = 0.0
-        if shown is not None and shown.arm in playback.inputs.scenarios.get(shown.scenario, {}):
-            playback.select(shown.scenario, shown.arm)
-            playback.go_to(shown.step)
-        else:
-            playback.go_to(first_step(playback.drive))
+        playback.go_to(first_step(playback.drive))
         self.stage = ViewerStage(
             self.server, playback.inputs, self._most, [playback.arm], on_click=self._clicked
         )
@@ -139,7 +136,7 @@ class Page:
             self._tracks = TrackPanel(self.server, playback)
         if playback.inputs.runner is not None:
             with tabs.add_tab("Run"):
-                RunPanel(self.server, playback, playback.inputs.runner, out)
+                self._runs = RunPanel(self.server, playback, playback.inputs.runner, out)
 
     def _clicked(self, track: str) -> None:
         if self._tracks is not None:
@@ -166,20 +163,36 @@ class Page:
                 _LOG.warning("arm %s cannot be sent", arm, exc_info=True)
 
     def _renew(self) -> None:
-        """Show what a run that goes on has made meanwhile, while nothing plays."""
+        """Show what a run that goes on has made meanwhile, while nothing plays or is run."""
         while (renew := self.playback.inputs.renew) and not self._over.wait(RENEW_EVERY):
-            try:
-                inputs = None if self.playback.playing else renew()
-            except InputError as error:  # such as a file that is being replaced
-                _LOG.warning("what is new cannot be shown: %s", error)
+            if self.playback.playing or (self._runs is not None and self._runs.busy):
                 continue
-            if inputs is not None:
-                self._sending.join()
-                self._exact.close()
-                shown = self.playback.shown
-                self.server.scene.reset()
-                self.server.gui.reset()
-                self._open(inputs, shown)
+            try:
+                inputs = renew()
+                if inputs is not None:
+                    self._replace(inputs)
+            except Exception:  # such as a file that is being replaced: the next look may do
+                _LOG.warning("what is new cannot be shown", exc_info=True)
+
+    def _replace(self, inputs: ViewInputs) -> None:
+        """Show other inputs, and the drives that were run from the page."""
+        self._sending.join()
+        self._exact.close()
+        shown, own = self.playback.shown, self.playback.added
+        self.server.scene.reset()
+        self.server.gui.reset()
+        self._open(inputs)
+        for scenario, arm, drive in own:
+            if arm in inputs.scenes:
+                self.playback.add(scenario, arm, drive)
+        if shown.arm in self.playback.inputs.scenarios.get(shown.scenario, {}):
+            self.playback.select(shown.scenario, shown.arm)
+            self.playback.go_to(shown.step)
+        else:
+            self.playback.select(
+                *next((s, a) for s, arms in inputs.scenarios.items() for a in arms)
+            )
+            self.playback.go_to(first_step(self.playback.drive))
 
     def _work(self) -> None:
         before = time.monotonic()

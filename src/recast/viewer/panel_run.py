@@ -286,6 +286,11 @@ class RunPanel:
             self._inputs[name].value = f"{value:g}"
         self._preview()
 
+    @property
+    def busy(self) -> bool:
+        """Whether a rollout is running."""
+        return self._busy.locked()
+
     def _start(self) -> None:
         if not self._busy.acquire(blocking=False):
             self._say("a rollout is running")

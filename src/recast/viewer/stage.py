@@ -307,6 +307,7 @@ class Playback:
     Attributes:
         speed: seconds of the drive in a second.
         playing: whether time goes on.
+        added: scenario, arm and drive of each that was added, in order.
         seconds: present time in the drive that is shown, within [0, steps * dt).
     """
 
@@ -319,6 +320,7 @@ class Playback:
         self.scenario = next(iter(scenarios))
         self.arm = next(iter(scenarios[self.scenario]))
         self.speed, self.playing, self.seconds = 1.0, False, 0.0
+        self.added: list[tuple[str, str, ViewedDrive]] = []
 
     @property
     def drive(self) -> ViewedDrive:
@@ -363,6 +365,7 @@ class Playback:
         """Take a drive in, and show it from its start."""
         with self._lock:
             self._scenarios.setdefault(scenario, {})[arm] = drive
+            self.added.append((scenario, arm, drive))
             self.seconds = 0.0
         self.select(scenario, arm)
 
