@@ -102,8 +102,11 @@ def test_planners_see_the_target_then_the_further_ones_then_the_logged(setup: Ro
     assert made.other_actors == ("9",)
     state = renderer.states[-1]
     assert set(state.poses) == {"7", "lead", "tail", "passing", "9"}
-    assert list(state.actors) == ["7", "lead", "tail", "passing", "9"]
-    for actor in made.controlled:
+    assert list(state.actors) == ["7", "lead", "tail", "passing"]
+    [other] = made.traffic
+    np.testing.assert_array_equal(state.others["9"], other.world_from_actor[5])
+    np.testing.assert_array_equal(made.state(5).others["9"], other.world_from_actor[5])
+    for actor in made.further:
         np.testing.assert_array_equal(state.poses[actor.track_id], actor.world_from_actor[5])
         moment = state.actors[actor.track_id]
         np.testing.assert_array_equal(moment.state, actor.states[5])

@@ -56,6 +56,7 @@ class History:
         self._states = {key: list(actor.states) for key, actor in self._actors.items()}
         self._poses = {key: list(actor.world_from_actor) for key, actor in self._actors.items()}
         self._travelled = dict.fromkeys(self._actors, 0.0)
+        self._traffic = tuple(key for key in self._actors if key not in setup.controlled)
         self._logged = self._logged_past()
         self.ego: list[Array] = [start.first]
         near = start.route.at_time(start.start_timestamp_us)
@@ -135,8 +136,8 @@ class History:
             raise ValueError(f"Simulator.state_at: expected step 0 to {self.step}, got {step}")
         setup, now, time = self._setup, self.ego[step], self.timestamp_us(step)
         controlled = {}
-        for track_id, actor in self._actors.items():
-            logged = actor.track.trajectory
+        for track_id in setup.controlled:
+            logged = self._actors[track_id].track.trajectory
             controlled[track_id] = SimActor(
                 state=self._states[track_id][step],
                 world_from_actor=self._poses[track_id][step],
@@ -153,6 +154,7 @@ class History:
             actor=target.state,
             world_from_actor=target.world_from_actor,
             log_world_from_actor=target.log_world_from_actor,
+            others={key: self._poses[key][step] for key in self._traffic},
             further=controlled,
         )
         return read_only(state)
@@ -206,7 +208,7 @@ class History:
             predictions=np.array([plan for _, plan in self.plans]).reshape(-1, WAYPOINTS, 3),
             plan_steps=np.array([step for step, _ in self.plans], np.int64),
             route=start.route.line.points,
-            other_actors=tuple(key for key in self._actors if key not in setup.controlled),
+            other_actors=self._traffic,
             controlled=tuple(further),
             reactive=tuple(key for key, actor in self._actors.items() if actor.reacts),
         )

@@ -53,9 +53,10 @@ class SimState:
         actor: (4,) x, y, heading of its box centre, speed.
         world_from_actor: (4, 4) its box centre in space.
         log_world_from_actor: (4, 4) where the log has it now; None where it is not labelled.
-        others: `world_from_actor` (4, 4) by track id of road users at a moment of the log; none in
-            a rollout.
-        further: the further controlled actors and the traffic by track id.
+        others: `world_from_actor` (4, 4) by track id of road users that no scenario moves: the
+            traffic, or those at a moment of the log. Those that a scene has no model of are part of
+            its background, or not drawn.
+        further: the further controlled actors by track id.
     """
 
     step: int
@@ -313,9 +314,10 @@ class Rollout(Brief):
             track_id=self.track_id,
             actor=self.actor[step],
             world_from_actor=self.world_from_actor[step],
+            others={one.track_id: one.world_from_actor[step] for one in self.traffic},
             further={
                 one.track_id: SimActor(one.states[step], one.world_from_actor[step])
-                for one in self.controlled
+                for one in self.further
             },
         )
 

@@ -141,7 +141,7 @@ class RolloutSettings:
         start_left: metres to the left of where the log has it at which the ego starts, with its
             past. Scripts do not depend on it.
         seed: seed of random numbers of motions and of the planner.
-        end_on_contact: end with the plan in which the ego touches a controlled actor, for searches:
+        end_on_contact: end with the plan in which the ego touches a road user, for searches:
             what comes later decides nothing; but not before two plans were executed.
 
     Raises:

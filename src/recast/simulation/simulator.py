@@ -342,16 +342,16 @@ class Simulator:
         return kept
 
     def _end_on_contact(self, first: int) -> None:
-        """End the rollout if the ego touched a controlled actor after step `first`."""
+        """End the rollout if the ego touched a road user after step `first`."""
         setup, history = self._setup, self._history
         if self.step_number < 2 * setup.plan_every:
             return  # a rollout of fewer plans says nothing of a planner
         size = (setup.vehicle.length, setup.vehicle.width)
         for step in range(max(1, first - setup.plan_every), self.step_number + 1):
             own = ego_centre(history.ego[step][:3], setup.vehicle.centre_offset)
-            for track_id, actor in history.state(step).actors.items():
+            for track_id, pose in history.state(step).poses.items():
                 other = setup.track_of(track_id).size
-                if boxes.bev_overlap_area(own, size, actor.state[:3], other) > TOUCHING:
+                if boxes.bev_overlap_area(own, size, se2.from_se3(pose), other) > TOUCHING:
                     self._ending = Ending.CONTACT
                     self._reason = (
                         f"ended with the first contact, {step * setup.dt:.1f} s after the start"
