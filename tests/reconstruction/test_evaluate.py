@@ -178,6 +178,8 @@ def test_gaps_are_what_the_log_does_not_show(trained: TrainResult, tiny_log: Dri
     assert bare is not None and bare.empty == pytest.approx(1 - solid, abs=0.02)
     seen = gaps(scene)
     assert seen is not None and seen.invented < 0.05 and seen.empty < bare.empty
+    background = {"parked": np.eye(4)}  # of traffic that the scene has no model of
+    assert GapMeter(scene).measure(view.camera, view.camera_from_world, background) == seen
     assert gaps(replace(scene, unseen=None)) is None
     evaluation = evaluate_scene(scene, tiny_log, TINY)
     assert evaluation.gaps is not None

@@ -463,6 +463,7 @@ class GapMeter:
 
     def __init__(self, scene: StreetScene, device: str = "auto") -> None:
         self._rasterizer: SceneRasterizer | None = None
+        self._tracks = frozenset(scene.actors)
         if scene.unseen is None or scene.sky_seen is None:
             return
         red, green = torch.tensor([1.0, *BLACK[1:]]), torch.tensor([0.0, 1.0, 0.0])
@@ -485,12 +486,14 @@ class GapMeter:
         """Shares of the pixels of a view; None if the scene does not tell.
 
         Args:
-            camera, camera_from_world, poses: see `render_scene`.
+            camera, camera_from_world: see `render_scene`.
+            poses: the same; tracks of which the scene has no model are part of its background.
             usable: (H, W) pixels that count; None for all.
         """
         if self._rasterizer is None:
             return None
-        rgb = self._rasterizer.render(camera, camera_from_world, poses).rgb
+        known = {key: pose for key, pose in poses.items() if key in self._tracks}
+        rgb = self._rasterizer.render(camera, camera_from_world, known).rgb
         marked = (rgb if usable is None else rgb[usable]) > 0.5
         return ViewGaps(float(marked[..., 0].mean()), float(marked[..., 1].mean()))
 
