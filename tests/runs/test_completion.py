@@ -37,7 +37,8 @@ def test_all_near_and_names(tiny_log: DrivingLog) -> None:
     assert choose_completed(tiny_log, "0", ("near",), CONFIG) == wanted
     assert choose_completed(tiny_log, "0", ("1", "0", "all"), CONFIG) == wanted
     assert choose_completed(tiny_log, "0", (), CONFIG) == CompletedVehicles()
-    assert wanted.explain() == ["complete beside the target: tracks 1"]
+    [line] = wanted.explain()
+    assert line == "complete beside the target: tracks 1; about a minute of CPU time each"
     assert CompletedVehicles().explain() == []
 
 
