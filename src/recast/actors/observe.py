@@ -128,16 +128,18 @@ def require_points(points: NDArray[np.float32], log: DrivingLog, track_id: str) 
         )
 
 
-def why_not_seen(log: DrivingLog, track_id: str, config: SceneConfig) -> str | None:
+def why_not_seen(
+    log: DrivingLog, track_id: str, lidar_points: int, config: SceneConfig
+) -> str | None:
     """Why a vehicle cannot be made from what the log saw of it, in words; None if it can.
 
     Args:
+        lidar_points: number of LiDAR points in its boxes.
         config: settings of the street's scene: cameras, image scale, and held-out frames.
     """
     track = track_of(log, track_id)
-    count = len(track_points(log, track).points)
-    if count < MIN_LIDAR_POINTS:
-        return f"it has {count} LiDAR points, fewer than {MIN_LIDAR_POINTS}"
+    if lidar_points < MIN_LIDAR_POINTS:
+        return f"it has {lidar_points} LiDAR points, fewer than {MIN_LIDAR_POINTS}"
     scores, left_out = _candidates(log, track, config, training_frames(config))
     if scores:
         return None

@@ -77,7 +77,7 @@ class _Grid:
     cameras: Annotated[tuple[str, ...] | None, shared.CAMERAS] = None
     scale: Annotated[float | None, shared.option(shared.SCALE_HELP, "1")] = None
     iterations: Annotated[int | None, shared.option(shared.ITERATIONS_HELP, "2800")] = None
-    traffic: Annotated[Literal["none", "replay", "idm"] | None, shared.TRAFFIC] = None
+    traffic: shared.Traffic = None
     steps: Annotated[int | None, shared.STEPS] = None
     seed: Annotated[
         int | None,

@@ -48,7 +48,7 @@ class Run:
     scale: Annotated[float | None, shared.option(shared.SCALE_HELP, "0.5")] = None
     iterations: Annotated[int | None, shared.option(shared.ITERATIONS_HELP, "2800")] = None
     complete: Annotated[shared.Names, shared.COMPLETE] = ()
-    traffic: Annotated[Literal["none", "replay", "idm"] | None, shared.TRAFFIC] = None
+    traffic: shared.Traffic = None
     steps: Annotated[int | None, shared.STEPS] = None
     seed: Annotated[int | None, shared.SEED] = None
     threads: Annotated[int | None, shared.THREADS] = None

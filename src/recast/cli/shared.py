@@ -165,11 +165,14 @@ COMPLETE = option(
     "none",
     metavar="TRACK",
 )
-TRAFFIC = option(
-    "What other recorded road users do: none takes them out, replay leaves them on their recorded "
-    "motion, idm lets them give way on their recorded paths.",
-    "none",
-)
+Traffic = Annotated[
+    Literal["none", "replay", "idm"] | None,
+    option(
+        "What other recorded road users do: none takes them out, replay leaves them on their "
+        "recorded motion, idm lets them give way on their recorded paths.",
+        "none",
+    ),
+]
 
 # What the actor is made from.
 GENERATOR = option(

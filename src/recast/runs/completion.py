@@ -9,7 +9,7 @@ import numpy as np
 
 from recast.actors.observe import why_not_seen
 from recast.core.errors import InputError
-from recast.logs import DrivingLog
+from recast.logs import DrivingLog, all_track_points
 from recast.logs.types import VEHICLES
 from recast.reconstruction import SceneConfig
 from recast.reconstruction.views import modelled_tracks
@@ -66,21 +66,21 @@ def choose_completed(
             problem = f"is a {track.category}, which no generator makes"
             mend = f"name tracks of the categories {', '.join(VEHICLES)}"
             raise InputError("`complete`", f"track {key}", problem, mend)
-        why = why_not_seen(log, key, config)
-        if why is not None:
-            raise InputError("`complete`", f"track {key}", why, "leave it out")
-    found, left = list(dict.fromkeys(named)), []
-    wide = [key for key in _asked(log, words) if key not in (*found, target)]
+    named = list(dict.fromkeys(named))
+    wide = [key for key in _asked(log, words) if key not in (*named, target)]
+    points = all_track_points(log, {key: log.tracks[key] for key in (*named, *wide)})
+    whys = {key: why_not_seen(log, key, len(own.points), config) for key, own in points.items()}
+    for key in named:
+        if whys[key] is not None:
+            raise InputError("`complete`", f"track {key}", str(whys[key]), "leave it out")
     modelled = modelled_tracks(log, config) if wide else frozenset()
     for key in wide:
-        why = why_not_seen(log, key, config)
-        if why is None and key not in modelled:
-            why = "the street has no model of it: it stands still, and is seen too little"
-        if why is None:
-            found.append(key)
-        else:
-            left.append((key, why))
-    return CompletedVehicles(tuple(key for key in found if key != target), tuple(left))
+        if whys[key] is None and key not in modelled:
+            whys[key] = "the street has no model of it: it stands still, and is seen too little"
+    found = [key for key, why in whys.items() if why is None and key != target]
+    return CompletedVehicles(
+        tuple(found), tuple((key, why) for key, why in whys.items() if why is not None)
+    )
 
 
 def _asked(log: DrivingLog, words: Sequence[str]) -> list[str]:

@@ -96,6 +96,11 @@ class History:
                 self._start.surface.actor_poses(recent, actor.track.size)[-1]
             )
 
+    @property
+    def track_ids(self) -> tuple[str, ...]:
+        """The controlled actors, the target first, then the traffic."""
+        return tuple(self._actors)
+
     def actor_now(self, track_id: str) -> Array:
         """x, y, heading of the box centre, speed (4,) of a controlled actor now."""
         return self._states[track_id][self.step].copy()
@@ -422,7 +427,7 @@ def prepare(setup: RolloutSetup) -> PreparedRollout:
         PreparedActor(
             track_id, history.actor_states(track_id, steps), history.actor_poses(track_id, steps)
         )
-        for track_id in (actor.track.track_id for actor in start.actors)
+        for track_id in history.track_ids
     )
     return PreparedRollout(
         route=start.route,

@@ -12,7 +12,7 @@ from itertools import pairwise
 from typing import Annotated
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from recast.arrays import Array
 from recast.dynamics import IdmParameters, free_road_step, idm_acceleration
@@ -86,9 +86,9 @@ class CutIn(BaseScript):
             dt,
             halt=halt,
         )
-        u = np.clip((dt * np.arange(steps + 1) - self.delay) / self.duration, 0.0, 1.0)
-        lateral = start.beside * (1 - u**3 * (10 - 15 * u + 6 * u**2))
-        across = -start.beside * u**2 * (30 - 60 * u + 30 * u**2) / self.duration
+        now: Array = dt * np.arange(steps + 1, dtype=np.float64)
+        share, across = _moving_over(now, self.delay, self.duration, -start.beside)
+        lateral = start.beside * (1 - share)
         poses = start.route.pose(s, lateral)
         poses[:, 2] += np.arctan2(across, np.maximum(along, 0.5))
         return _states(poses, np.hypot(along, across))
@@ -235,9 +235,10 @@ class RouteCrossing(BaseScript):
 
     def _walk(self, steps: int, dt: float) -> tuple[Array, Array, Array]:
         """Metres across, how far it has turned round in [0, 1], and speed, (steps + 1,) each."""
+        pause = np.inf if self.pause is None else self.pause
         stops: list[tuple[float, float, bool]] = []  # metres across, seconds, turns round there
         if self.pause_at is not None:
-            stops.append((self._way(self.pause_at), _or_for_good(self.pause), False))
+            stops.append((self._way(self.pause_at), pause, False))
         if self.turn_at is not None:
             stops.append((self._way(self.turn_at), _TURN, True))
             stops.append((0.0, np.inf, False))
@@ -292,11 +293,10 @@ class Along(BaseScript):
 
     def script(self, start: StartSituation, steps: int, dt: float) -> Array:
         """The offset changes by the quintic of `CutIn`."""
-        now = dt * np.arange(steps + 1)
+        now: Array = dt * np.arange(steps + 1, dtype=np.float64)
         change = 0.0 if self.to is None else self.to - self.lateral
-        u = np.clip((now - self.delay) / self.duration, 0.0, 1.0)
-        lateral = self.lateral + change * u**3 * (10 - 15 * u + 6 * u**2)
-        across = change * u**2 * (30 - 60 * u + 30 * u**2) / self.duration
+        share, across = _moving_over(now, self.delay, self.duration, change)
+        lateral = self.lateral + change * share
         poses = start.route.pose(start.ahead(self.gap) + self.speed * now, lateral)
         poses[:, 2] += np.arctan2(across, max(self.speed, 0.5))
         return _states(poses, np.hypot(self.speed, across))
@@ -372,8 +372,31 @@ class TimedPath(BaseScript):
         return np.concatenate([xy, se2.wrap_angle(heading)[:, None], speed[:, None]], axis=1)
 
 
-def _or_for_good(seconds: float | None) -> float:
-    return np.inf if seconds is None else seconds
+def _moving_over(now: Array, delay: float, duration: float, change: float) -> tuple[Array, Array]:
+    """Share (T,) of a change of the offset that is done at seconds `now` (T,), by the quintic from
+    0 to 1, and the speed across (T,)."""
+    u = np.clip((now - delay) / duration, 0.0, 1.0)
+    share = u**3 * (10 - 15 * u + 6 * u**2)
+    return share, change * u**2 * (30 - 60 * u + 30 * u**2) / duration
+
+
+def ahead_on_path(along: Array, offset: Array, s: float, half: ArrayLike) -> NDArray[np.bool_]:
+    """Which (U,) of the road users are ahead of an actor and in its way.
+
+    Args:
+        along: (U, 9) path coordinates of `RoadUsers.points`.
+        offset: (U, 8) metres beside the path, of all points but the centres.
+        s: path coordinate of the actor's centre.
+        half: metres to each side, one number or (U,), within which they are in the way.
+    """
+    inside = (offset.min(axis=1) <= half) & (offset.max(axis=1) >= -np.asarray(half))
+    return inside & (along[:, 0] > s)
+
+
+def speeds_along(velocities: Array, heading: Array) -> Array:
+    """m/s (U,) of velocities (U, 2) in the direction of a path there."""
+    direction = np.stack([np.cos(heading), np.sin(heading)], axis=-1)
+    return np.asarray(np.sum(velocities * direction, axis=1))
 
 
 def _faced(pose: Array, heading: float) -> Array:
@@ -501,11 +524,8 @@ class Idm(BaseMotion):
         half = width / 2 + CORRIDOR_MARGIN
         users = state.shared
         along, lateral = path.project(users.points)
-        offset = lateral[:, 1:] - self.lateral
-        ahead = (along[:, 0] > s) & (offset.min(axis=1) <= half) & (offset.max(axis=1) >= -half)
+        ahead = ahead_on_path(along, lateral[:, 1:] - self.lateral, s, half)
         ahead &= users.ids != state.situation.track_id
-        heading = path.heading(along[ahead, 0])
-        direction = np.stack([np.cos(heading), np.sin(heading)], axis=-1)
         gaps = along[ahead, 1:].min(axis=1) - s - length / 2
-        speeds = np.sum(users.velocities[ahead] * direction, axis=1)
+        speeds = speeds_along(users.velocities[ahead], path.heading(along[ahead, 0]))
         return np.append(gaps, np.inf), np.append(speeds, 0.0)

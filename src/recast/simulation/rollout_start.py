@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import shapely
+from numpy.typing import NDArray
 
 from recast.arrays import Array
 from recast.core.errors import InputError
@@ -152,9 +153,9 @@ def start_rollout(setup: RolloutSetup, seed: int = 0) -> RolloutStart:
             refuse_if_too_short(setup, steps, reason)
     first = ego.moved_left(state, setup.start_left) if setup.start_left else state
     refuse_starts(setup, road, first, [(a.track, a.motion, a.states[0, :3]) for a in actors])
-    actors += _traffic(setup, target, steps, state, first, actors)
-
     times = start_us + round(setup.dt * 1e6) * np.arange(steps + 1)
+    actors += _traffic(setup, target, times, state, first, actors)
+
     logged = [initial_state(log.timestamps_us, log.poses, int(t), setup.vehicle) for t in times]
     return RolloutStart(
         route=route,
@@ -204,7 +205,7 @@ def _begin(
 def _traffic(
     setup: RolloutSetup,
     target: StartSituation,
-    steps: int,
+    times: NDArray[np.int64],
     logged: Array,
     first: Array,
     actors: Sequence[StartingActor],
@@ -217,6 +218,7 @@ def _traffic(
 
     Args:
         target: situation of the target.
+        times: (S+1,) log times of the rollout's states.
         logged, first: (11,) first state of the ego, as logged and as simulated.
         actors: the actors of the scenario.
 
@@ -231,12 +233,11 @@ def _traffic(
         name = who(setup, one.track.track_id)
         taken.append((one.track.track_id, name, one.states[0, :3], tuple(one.track.size[:2])))
     found: dict[str, StartingActor] = {}
-    times = start_us + round(setup.dt * 1e6) * np.arange(steps + 1)
     ids = [one.track.track_id for one in actors]
     members = traffic_of(setup.log, setup.traffic, ids, times, vehicle)
-    for track, motion, together in sorted(
-        members, key=lambda one: not _labelled(one.track, start_us)
-    ):
+    # Those that are labelled come first: they stay where others would begin in them.
+    members.sort(key=lambda one: not one.track.trajectory.covers(start_us))
+    for track, motion, together in members:
         actor = _begin(setup, motion, track, target)
         pose, key = actor.states[0, :3], track.track_id
         hit = [
@@ -248,7 +249,7 @@ def _traffic(
         fault = None
         if boxes.bev_overlap_area(recorded, box, pose, track.size) > TOUCHING:
             fault = "lies on the ego in the log"
-        elif hit and not _labelled(track, start_us):
+        elif hit and not track.trajectory.covers(start_us):
             fault = f"would begin in {hit[0][1]}: it is not labelled yet"
         elif hit:
             problem = f"track {key} and {hit[0][1]} overlap by {hit[0][2]:.2f} m2 at the start"
@@ -267,14 +268,10 @@ def _traffic(
     return [found[key] for key in setup.log.tracks if key in found]
 
 
-def _labelled(track: Track, time_us: int) -> bool:
-    return track.trajectory.covers(time_us)
-
-
 def _as_logged(setup: RolloutSetup, track_id: str, pose: Array, time_us: int) -> bool:
     """Whether a road user is where the log has it."""
     track = setup.log.tracks.get(track_id)
-    if track is None or not _labelled(track, time_us):
+    if track is None or not track.trajectory.covers(time_us):
         return False
     away = track.trajectory.at(time_us)[:2, 3] - pose[:2]
     return float(np.linalg.norm(away)) <= ELSEWHERE

@@ -232,7 +232,7 @@ def rollout_gaps(
     """
     moments = {}
     for step in rollout.plan_steps[::GAPS_EVERY].tolist():
-        poses = _poses_at(rollout, step)
+        poses = rollout.state(step).poses
         found = []
         for name in given:
             mount = mounts[name]
@@ -247,12 +247,6 @@ def rollout_gaps(
         return None
     worst = max(moments, key=lambda step: moments[step].invented + moments[step].empty)
     return RolloutGaps(mean, moments[worst], worst * rollout.dt)
-
-
-def _poses_at(rollout: Rollout, step: int) -> dict[str, Array]:
-    poses = {one.track_id: one.world_from_actor[step] for one in rollout.controlled}
-    poses[rollout.track_id] = rollout.world_from_actor[step]
-    return poses
 
 
 SHARES = ("seen", "mirrored", "invented")
@@ -365,7 +359,7 @@ def rollout_coverage(
     """
     images = []
     for step in rollout.plan_steps.tolist():
-        poses = _poses_at(rollout, step)
+        poses = rollout.state(step).poses
         for name in dict.fromkeys((*recorded, *given)):
             mount = mounts[name]
             camera_from_world = se3.inverse(rollout.world_from_rig[step] @ mount.rig_from_camera)

@@ -30,7 +30,7 @@ from recast.simulation.actor_motion import (
     MotionInput,
     StartSituation,
 )
-from recast.simulation.motions import CORRIDOR_MARGIN, DRIVER
+from recast.simulation.motions import CORRIDOR_MARGIN, DRIVER, ahead_on_path, speeds_along
 from recast.simulation.setup import TrafficKind
 
 TRAFFIC = "traffic"
@@ -254,14 +254,10 @@ class YieldingTraffic(BaseMotion):
             return np.inf
         length, width = state.situation.actor_size[:2]
         along, lateral = line.to_frenet(everyone.points[met])
-        heading = line.heading(along[:, 0])
-        direction = np.stack([np.cos(heading), np.sin(heading)], axis=-1)
-        speeds = np.sum(everyone.velocities[met] * direction, axis=1)
+        speeds = speeds_along(everyone.velocities[met], line.heading(along[:, 0]))
         # Who comes towards it may pass closely: else two would block each other for ever.
         half = width / 2 + np.where(speeds < 0.0, 0.0, CORRIDOR_MARGIN)
-        offset = lateral[:, 1:]
-        ahead = (along[:, 0] > self._along) & (offset.min(axis=1) <= half)
-        ahead &= offset.max(axis=1) >= -half
+        ahead = ahead_on_path(along, lateral[:, 1:], self._along, half)
         if not ahead.any():
             return np.inf
         gaps = along[ahead, 1:].min(axis=1) - self._along - length / 2

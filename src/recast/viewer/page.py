@@ -182,17 +182,14 @@ class Page:
         self.server.scene.reset()
         self.server.gui.reset()
         self._open(inputs)
+        first = self.playback.shown
         for scenario, arm, drive in own:
             if arm in inputs.scenes:
                 self.playback.add(scenario, arm, drive)
-        if shown.arm in self.playback.inputs.scenarios.get(shown.scenario, {}):
-            self.playback.select(shown.scenario, shown.arm)
-            self.playback.go_to(shown.step)
-        else:
-            self.playback.select(
-                *next((s, a) for s, arms in inputs.scenarios.items() for a in arms)
-            )
-            self.playback.go_to(first_step(self.playback.drive))
+        there = shown.arm in self.playback.inputs.scenarios.get(shown.scenario, {})
+        wanted = shown if there else first
+        self.playback.select(wanted.scenario, wanted.arm)
+        self.playback.go_to(wanted.step)
 
     def _work(self) -> None:
         before = time.monotonic()
