@@ -9,12 +9,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from recast.actors import load_actor
 from recast.cli.main import main
 from recast.core.errors import InputError
 from recast.logs import DrivingLog
 from recast.logs.store import write_log
 from recast.reconstruction import SceneConfig
-from recast.runs.completion import CompletedVehicles, choose_completed
+from recast.runs.completion import CompletedVehicles, choose_completed, makeable
 
 CONFIG = SceneConfig(scale=1.0)
 
@@ -63,24 +64,43 @@ def test_an_image_too_small_tells(tiny_log: DrivingLog) -> None:
     assert "in no image" in dict(choose_completed(tiny_log, "0", ("all",), small).left)["1"]
 
 
-def test_people_are_not_completed_and_named_in_one_line(tiny_log: DrivingLog) -> None:
-    walker = with_track(tiny_log, "1", category="pedestrian")
-    assert choose_completed(walker, "0", ("all",), CONFIG) == CompletedVehicles()
-    with pytest.raises(InputError, match="is a pedestrian, which no generator makes"):
-        choose_completed(walker, "0", ("1",), CONFIG)
+def test_people_are_completed_by_generators_that_make_them(tiny_log: DrivingLog) -> None:
+    walker = with_track(tiny_log, "0", category="pedestrian", size=np.array([1.85, 1.28, 2.0]))
+    assert choose_completed(walker, "1", ("all",), CONFIG).tracks == ("0",)
+    assert choose_completed(walker, "1", ("all",), CONFIG, ["template"]) == CompletedVehicles()
+    with pytest.raises(InputError, match="is a pedestrian, which template does not make"):
+        choose_completed(walker, "1", ("0",), CONFIG, ["template"])
     with pytest.raises(InputError, match="track 9: is not in the log; give all, near, or one"):
         choose_completed(tiny_log, "0", ("9",), CONFIG)
+    group = with_track(tiny_log, "1", category="pedestrian")
+    assert "of a group" in dict(choose_completed(group, "0", ("all",), CONFIG).left)["1"]
 
 
-@pytest.mark.parametrize("category", ["pedestrian", "cyclist", "misc"])
+def test_who_makes_whom() -> None:
+    assert makeable(["auto"]) == ("car", "van", "truck", "bus", "pedestrian", "cyclist")
+    assert makeable(["auto", "people"]) == ("pedestrian", "cyclist")
+    assert makeable(["template"]) == ("car", "van", "truck", "bus")
+    assert makeable(["template", "people"]) == ()
+    assert "cyclist" in makeable(["some_package:Generator"])
+
+
+@pytest.mark.parametrize(
+    ("category", "generator"),
+    [("pedestrian", "template"), ("cyclist", "parametric"), ("misc", "auto"), ("car", "people")],
+)
 def test_a_target_that_no_generator_makes_is_refused_before_anything_is_written(
-    category: str, tiny_log: DrivingLog, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    category: str,
+    generator: str,
+    tiny_log: DrivingLog,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
     write_log(with_track(tiny_log, "0", category=category), tmp_path / "log")
     words = ["run", str(tmp_path / "log"), "--track", "0", "--planner", "idm-follower"]
+    words += ["--generator", generator]
     assert main([*words, "--out", str(tmp_path / "run")]) == 2
     said = capsys.readouterr().err
-    assert f"track 0: is {category}: auto makes cars" in said and said.count("\n") == 1
+    assert f"track 0: is {category}: {generator} makes" in said and said.count("\n") == 1
     assert not (tmp_path / "run").exists()
 
 
@@ -107,3 +127,26 @@ def test_a_run_with_everybody(
     again = [record["artefacts"][f"actor/replaced{key}"] for key in ("", "/1")]
     first = json.loads((tmp_path / "none" / "run.json").read_text())["artefacts"]
     assert again == [first["actor/replaced"], first["actor/replaced/1"]]
+
+
+@pytest.mark.whole
+def test_a_run_with_a_complete_pedestrian(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A pedestrian crosses, complete and walking; a cyclist of the traffic is complete, too."""
+    words = ["log", "synth", "--scene", "urban-straight", "--seed", "51", "--people"]
+    words += ["--seconds", "5", "--width", "240", "--height", "160", "--workers", "1"]
+    assert main([*words, "--out", str(tmp_path / "log")]) == 0
+    words = ["run", str(tmp_path / "log"), "--track", "pedestrian-5", "--motion", "crossing-a"]
+    words += ["--steps", "20", "--iterations", "150", "--planner", "idm-follower", "--threads", "1"]
+    words += ["--complete", "cyclist-1", "--traffic", "replay"]
+    assert main([*words, "--out", str(tmp_path / "run")]) == 0
+    said = capsys.readouterr().out
+    assert "complete beside the target: tracks cyclist-1" in said
+    assert "person of track pedestrian-5 by auto" in said
+    for name, category in (("replaced", "pedestrian"), ("replaced~~cyclist-1", "cyclist")):
+        actor = load_actor(tmp_path / "run" / "actors" / name / "actor")
+        assert actor.gait is not None and actor.provenance.generator == "people"
+        assert actor.category == category
+    films = tmp_path / "run" / "report" / "films"
+    assert any("replaced" in film.name for film in films.iterdir())

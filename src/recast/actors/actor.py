@@ -22,11 +22,13 @@ from recast.geometry import se3
 from recast.logs import Trajectory
 from recast.logs.checks import BOX_SIDE
 from recast.scene import StreetScene
-from recast.scene.actor import BLACK, painted, painted_actor
+from recast.scene.actor import BLACK, DrawnActor, painted, painted_actor
+from recast.scene.deformation import Gait
 from recast.scene.light.sun import DIRECTIONS
 from recast.splats import (
     Gaussians,
     LowPass,
+    concatenate,
     freeze,
     morton_order,
     pick_device,
@@ -38,6 +40,7 @@ UNEVEN = 1.6
 both, and the template's are within 1.1."""
 LEAST_PIXELS = 1.0
 """A vehicle of which an image shows less than this is not visible there."""
+_PHASES = np.arange(8) / 8  # of a gait, whose limbs reach out of the pose that is stored
 _REACH = 3.5  # deviations: at 3.33 even an opaque Gaussian falls below the 1/255 that is drawn
 _MARGIN = 3  # pixels by which the low-pass filter may widen a Gaussian
 _LEAST_FAR = 1.0  # metres: beyond the near plane, also for what is behind the camera
@@ -138,13 +141,16 @@ class CoverageMeter:
         self._track_id, self._standing = track_id, scene.standing
         shown = painted_actor(vehicle, shares.columns, BLACK)
         gaussians = shown.gaussians
-        self._means = gaussians.means.to(place)
-        self._centre, self._size = _bounds(gaussians)
+        gait = shown.gait
+        shapes = [gaussians] if gait is None else [gait.posed(gaussians, t) for t in _PHASES]
+        everywhere = concatenate(shapes)
+        self._means = everywhere.means.to(place)
+        self._centre, self._size = _bounds(everywhere)
         background = painted(scene.background, BLACK)
         ordered = background.select(morton_order(background.means)).to(place)
         self._street = freeze(ordered, scene.low_pass)
         self._parts = {
-            key: (shown if key == track_id else painted_actor(actor, BLACK, BLACK)).frozen(place)
+            key: DrawnActor(shown if key == track_id else painted_actor(actor, BLACK, BLACK), place)
             for key, actor in scene.actors.items()
         }
 
@@ -196,7 +202,8 @@ class CoverageMeter:
         parts = [(self._street, torch.eye(4, dtype=torch.float64))]
         for key, pose in poses.items():
             place = torch.from_numpy(np.array(pose, np.float64))
-            parts += [(part, place) for part in self._parts.get(key, ())]
+            if key in self._parts:
+                parts += [(part, place) for part in self._parts[key].at(pose, None, None)]
         K = torch.from_numpy(camera.matrix).float()
         return rasterize_frozen(parts, view, K, camera.width, camera.height, far=farthest).rgb
 
@@ -501,6 +508,7 @@ class Actor(Brief):
             `recast.actors.refine.images.ShadowEvidence`; None likewise.
         seen_shadow: the shadow that the images show, actor frame; it holds for the headings and the
             light of the log. None likewise.
+        gait: how a person's limbs move with its way; None for a vehicle.
     """
 
     track_id: str
@@ -515,6 +523,7 @@ class Actor(Brief):
     trajectory: Trajectory | None = None
     sun: Array | None = None
     seen_shadow: Gaussians | None = None
+    gait: Gait | None = None
 
     def _facts(self) -> Mapping[str, object]:
         return {
@@ -525,6 +534,10 @@ class Actor(Brief):
             "generator": self.provenance.generator,
             "refined": "no" if self.provenance.refinement is None else "yes",
         }
+
+    def at(self, pose: Array) -> Gaussians:
+        """Its Gaussians with the limbs that it has at `pose` (4, 4) `world_from_actor`."""
+        return self.gaussians if self.gait is None else self.gait.at(self.gaussians, pose)
 
     def inserted_into(self, scene: StreetScene) -> StreetScene:
         """The scene with this vehicle in its track's place; see `recast.actors.insert`."""
@@ -548,6 +561,8 @@ class Actor(Brief):
         fault = None if self.shares is None else self.shares.fault(len(self.gaussians))
         if fault is not None:
             raise ValueError(f"Actor.shares.{fault[0]}: {fault[1]}")
+        if self.gait is not None:
+            self.gait.validate("Actor.gait", len(self.gaussians))
         if self.trajectory is not None:
             self.trajectory.validate("Actor.trajectory")
         if self.sun is not None and (

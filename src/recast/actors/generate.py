@@ -25,6 +25,7 @@ from recast.arrays import Array
 from recast.core.errors import InputError
 from recast.core.foreign import BasePart, foreign_call, read_only, whole
 from recast.core.plugins import GENERATORS
+from recast.scene.deformation import Gait
 from recast.splats import CLASSIC, Gaussians, LowPass
 from recast.trellis import (
     RECAST_MINI,
@@ -340,6 +341,8 @@ class Asset:
         low_pass: filter that the Gaussians were made for.
         finish: makes the asset itself where this is a sketch of it, coarse but of the same shape
             and colours, to be compared with other candidates; None if this is the asset.
+        gait: of a person, in metres in the frame of the box, on no way yet, and with the phase of
+            the image it was made from; None for a vehicle.
     """
 
     gaussians: Gaussians
@@ -349,6 +352,7 @@ class Asset:
     details: Mapping[str, str | float | int] = field(default_factory=dict)
     low_pass: LowPass = CLASSIC
     finish: Callable[[], Asset] | None = None
+    gait: Gait | None = None
 
 
 class ActorGenerator(Protocol):

@@ -191,6 +191,7 @@ def insert(scene: StreetScene, actor: Actor, *, relit: bool = True) -> StreetSce
             deformation=None,
             low_pass=actor.low_pass,
             light=light,
+            gait=actor.gait,
         )
     )
 
@@ -218,7 +219,10 @@ def actor_light(scene: SceneLight, actor: Actor, trajectory: Trajectory) -> Acto
         ValueError: the actor has no surface, see `outer_surface`.
     """
     hull = outer_surface(actor.gaussians)
-    normals = _normals(actor.gaussians, hull.points, hull.normals)
+    if actor.gait is None:
+        normals = _normals(actor.gaussians, hull.points, hull.normals)
+    else:  # flat patches of a body, their third axis outward
+        normals = quat_to_matrix(actor.gaussians.quats)[:, :, 2].float()
     shares = actor.shares or _shares_of_view(normals, actor.provenance.azimuth)
     poses = list(thinned(trajectory.poses, _POSES))
     if actor.shares is None:
@@ -277,6 +281,17 @@ def _recorded(
 
 def _mirror(normals: Tensor) -> Tensor:
     return normals * torch.tensor([1.0, -1.0, 1.0])
+
+
+_LIMBS = 0.5  # of a person's extents, its trunk's: limbs hide little of the sky
+
+
+def shadow_below(gaussians: Gaussians, size: Array) -> Gaussians:
+    """The contact shadow of a person in a box of `size` (3,) metres, actor-local."""
+    points = gaussians.means.double().numpy()
+    low, high = points.min(axis=0), points.max(axis=0)
+    middle, half = (low + high) / 2, _LIMBS * (high - low) / 2
+    return contact_shadow(middle - half, middle + half, floor=-float(size[2]) / 2)
 
 
 def contact_shadow(low: Array, high: Array, floor: float) -> Gaussians:

@@ -38,6 +38,7 @@ from recast.core.errors import InputError
 from recast.geometry import boxes, se3
 from recast.logs import CameraStream, DrivingLog, Track, track_points
 from recast.logs.load import arc
+from recast.logs.types import PEOPLE
 from recast.reconstruction import SceneConfig
 from recast.reconstruction.views import TrainingView, camera_names, is_held_out, read_view
 from recast.scene.street_scene import pose_at
@@ -334,8 +335,10 @@ def gather_evidence(
                 sightings.append(sighting)
         if progress is not None:
             progress(index + 1, len(scores))
-    sightings, refused = settle_masks(_weighted_by_sharpness(sightings), track.size)
-    left_out += ["mask contradicts the other masks"] * len(refused)
+    sightings = _weighted_by_sharpness(sightings)
+    if track.category not in PEOPLE:  # limbs that move have no hull
+        sightings, refused = settle_masks(sightings, track.size)
+        left_out += ["mask contradicts the other masks"] * len(refused)
     return Evidence(
         track_id=track_id,
         category=track.category,

@@ -42,10 +42,16 @@ from recast.actors.icp import (
     outer_surface,
     thinned,
 )
-from recast.actors.insert import colour_difference, compare_views, contact_shadow
+from recast.actors.insert import (
+    colour_difference,
+    compare_views,
+    contact_shadow,
+    shadow_below,
+)
 from recast.actors.observation import SIDES, Observation
 from recast.actors.observe import require_points
 from recast.actors.parametric import ParametricGenerator
+from recast.actors.people import PeopleGenerator
 from recast.actors.place import (
     COARSE_YAWS,
     FINE_YAWS,
@@ -64,6 +70,7 @@ from recast.core.errors import InputError
 from recast.geometry import se3
 from recast.geometry.colour import cielab, gamma_to_linear
 from recast.logs import DrivingLog, Track, track_points
+from recast.logs.types import PEOPLE
 from recast.scene.actor import draw, look_at
 from recast.splats import Gaussians, LowPass
 from recast.splats.gaussians import C0
@@ -89,6 +96,8 @@ def register(asset: Asset, observation: Observation, log: DrivingLog, track: Tra
     require_points(points, log, track.track_id)
     lidar = thinned(np.asarray(points, np.float64), _LIDAR_POINTS)
     size = np.asarray(track.size, np.float64)
+    if asset.gait is not None:
+        return _walking(asset, observation, track, lidar, len(points))
     gaussians, surface = stood_up(asset)
     start, front = _orientation(gaussians, surface, lidar, size, observation, track, asset)
     placed = start.apply(surface)
@@ -133,6 +142,61 @@ def register(asset: Asset, observation: Observation, log: DrivingLog, track: Tra
         provenance=Provenance.of(asset, observation, report),
         source=observation.rgba,
         low_pass=asset.low_pass,
+    )
+
+
+def _walking(
+    asset: Asset, observation: Observation, track: Track, lidar: Array, points: int
+) -> Actor:
+    """A person on the track's way, in the box where its generator put it.
+
+    ICP would turn and shift a body whose limbs were elsewhere at each sweep.
+    """
+    assert asset.gait is not None
+    size, trajectory = np.asarray(track.size, np.float64), track.trajectory
+    surface = outer_surface(asset.gaussians)
+    low, high = bounds(surface.points)
+    time = observation.view.timestamp_us
+    ahead = trajectory.poses[-1, :2, 3] + 0.01 * trajectory.poses[-1, :2, 0]  # of who stands
+    gait = replace(asset.gait, way=np.concatenate([trajectory.poses[:, :2, 3], ahead[None]]))
+    if trajectory.covers(time):
+        gone = gait.phase_at(trajectory.at(time)) - gait.phase
+        gait = replace(gait, phase=float(gait.phase - gone))
+    fit = fit_of(surface.points, lidar)
+    sides = high - low
+    report = RegistrationReport(
+        axes=asset.axes.name,
+        initial_scale=1.0,
+        initial_yaw=0.0,
+        width_over_box=float(sides[1] / size[1]),
+        height_over_box=float(sides[2] / size[2]),
+        front=FrontEvidence(
+            votes={"declared": 1.0},
+            flipped=False,
+            heading_agreement=heading_agreement(track),
+            margin=1.0,
+        ),
+        before=fit,
+        after=fit,
+        icp_scale=1.0,
+        icp_yaw=0.0,
+        icp_translation=(0.0, 0.0, 0.0),
+        icp_iterations=0,
+        icp_converged=True,
+        ground_gap=float(low[2] + size[2] / 2),
+        lidar_points=points,
+        lidar_by_side=lidar_by_side(lidar, size),
+    )
+    return Actor(
+        track_id=track.track_id,
+        category=track.category,
+        size=size,
+        gaussians=asset.gaussians,
+        shadow=shadow_below(asset.gaussians, size),
+        provenance=Provenance.of(asset, observation, report),
+        source=observation.rgba,
+        low_pass=asset.low_pass,
+        gait=gait,
     )
 
 
@@ -245,27 +309,34 @@ _LOOK_PX = 128
 _SEEN_WITHIN, _UNSEEN_BEYOND = 35.0, 60.0  # degrees from a view
 LEAST_OUTLINE, LEAST_LIDAR = 0.75, 0.7
 """Overlap with the masks, and share of the LiDAR points within 10 cm, of a vehicle that fits."""
+LEAST_OF_PEOPLE = 0.5, 0.6
+"""The same of a person, whose limbs are thin in images and were elsewhere in each sweep."""
 
 
 class AutoGenerator(BaseGenerator):
-    """Offers the vehicles of generators; of `template` and `parametric` if none are given."""
+    """Offers the vehicles of generators: those given, or `template` and `parametric`, and for
+    pedestrians and cyclists `people`."""
 
     name = "auto"
 
     def __init__(self, generators: Sequence[ActorGenerator] | None = None) -> None:
         self.generators = generators or (TemplateGenerator(), ParametricGenerator())
+        self._of_people = generators or (PeopleGenerator(),)
 
     def candidates(self, observation: Observation, seed: int) -> Sequence[Callable[[], Asset]]:
         """Those of each generator, in order."""
         return [
             make
-            for generator in self.generators
+            for generator in self._makers(observation)
             for make in candidates_of(generator, observation, seed)
         ]
 
     def generate(self, observation: Observation, seed: int) -> Asset:
         """The first one's vehicle, where there is no evidence to choose by."""
-        return self.generators[0].generate(observation, seed)
+        return self._makers(observation)[0].generate(observation, seed)
+
+    def _makers(self, observation: Observation) -> Sequence[ActorGenerator]:
+        return self._of_people if observation.category in PEOPLE else self.generators
 
 
 @dataclass(frozen=True)
@@ -381,6 +452,7 @@ def candidate_score(actor: Actor, evidence: Evidence) -> CandidateScore:
     if measured:
         total += lidar / _LIDAR
     detail, apart = unseen_look(actor, views)
+    outline, met = LEAST_OF_PEOPLE if actor.gait is not None else (LEAST_OUTLINE, LEAST_LIDAR)
     return CandidateScore(
         detail=detail,
         apart=apart,
@@ -390,7 +462,7 @@ def candidate_score(actor: Actor, evidence: Evidence) -> CandidateScore:
         lidar_median=median if measured else None,
         free=free,
         total=total,
-        fits=(not views or overlap >= LEAST_OUTLINE) and (not measured or lidar >= LEAST_LIDAR),
+        fits=(not views or overlap >= outline) and (not measured or lidar >= met),
     )
 
 
@@ -448,7 +520,8 @@ def _pictures(actor: Actor, views: list[Sighting]) -> tuple[float, float]:
     overlaps, weights, shown, wanted = [], [], [], []
     for view in views:
         with torch.no_grad():
-            picture = draw(actor.gaussians, view.camera_from_object, view.camera, actor.low_pass)
+            posed = actor.at(view.world_from_object)
+            picture = draw(posed, view.camera_from_object, view.camera, actor.low_pass)
         rgb, covered = picture.rgb.numpy().astype(np.float64), picture.alpha.numpy() > 0.5
         mask, known = view.mask > 0.5, view.trust > 0
         union = float(((covered | mask) & known).sum())

@@ -16,6 +16,7 @@ from recast.arrays import Array, Mask
 from recast.cameras import PinholeCamera
 from recast.core.foreign import foreign_call, read_only
 from recast.geometry import boxes, se3
+from recast.logs.types import PEOPLE
 
 _REACH = 0.06  # shares of the vehicle's extent in the image: how far it may reach beyond the hull
 _GAP = 0.03
@@ -23,6 +24,11 @@ _ITERATIONS = 6  # of GrabCut
 _GROWTH = 0.08  # metres by which the box is grown: labels are often a little small
 _SHRINK = (0.05, 0.012)  # across, where labels and poses are off by some centimetres; and up
 _APRON = (0.10, 0.45)  # shares of the height: above the road, and dark like it
+# In halves of a person's box, low and high; a rider's head is ahead.
+_TRUNK = ((-0.15, -0.3, 0.05), (0.15, 0.3, 0.65))
+_HEAD = {"pedestrian": ((-0.1, -0.15, 0.78), (0.15, 0.15, 0.96))}
+_HEAD["cyclist"] = ((0.1, -0.1, 0.82), (0.3, 0.1, 0.96))
+_LIMB = 0.06  # of its narrower side: what is near a LiDAR point may be the person
 
 
 @dataclass(frozen=True)
@@ -228,11 +234,14 @@ class BoxLidarSegmenter:
 
     def segment(self, target: SegmentationTarget) -> NDArray[np.uint8]:
         """See `Segmenter.segment`; the same crop always gives the same mask."""
-        trimap = self.trimap(target)
+        person = target.category in PEOPLE
+        trimap = person_trimap(target) if person else self.trimap(target)
         known = np.isin(trimap, (cv2.GC_FGD, cv2.GC_PR_FGD))
         if known.all() or not known.any():  # the box fills the crop, or is not in it
             return feather(known)
         mask = grabcut(target.image, trimap, _ITERATIONS)
+        if person:  # smoothing would take the limbs
+            return feather(largest_piece(mask))
         return feather(smooth(largest_piece(mask), 0.006 * shorter_side(trimap)))
 
     def trimap(self, target: SegmentationTarget) -> NDArray[np.uint8]:
@@ -264,6 +273,31 @@ class BoxLidarSegmenter:
         cross = cv2.getStructuringElement(cv2.MORPH_CROSS, (3, 3))
         trimap[(cv2.dilate(behind, cross) > 0) & ~core] = cv2.GC_BGD
         return trimap
+
+
+def person_trimap(target: SegmentationTarget) -> NDArray[np.uint8]:
+    """GrabCut labels (H, W) of a pedestrian or cyclist: trunk and head in the middle of the box for
+    sure, a body around them perhaps, and other LiDAR returns and all outside of the box not."""
+    half = target.size / 2
+    outline = project_box(target, -half - [_GROWTH, _GROWTH, 0.03], half + _GROWTH)
+    body = project_box(target, half * [-0.75, -0.75, -1.0], half * [0.75, 0.75, 1.0])
+    core = np.zeros(outline.shape, bool)
+    for low, high in (_TRUNK, _HEAD[target.category]):
+        core |= project_box(target, np.array(low) * half, np.array(high) * half)
+    trimap = np.where(outline, cv2.GC_PR_BGD, cv2.GC_BGD).astype(np.uint8)
+    near = np.zeros(outline.shape, np.uint8)
+    pixels = _lidar_pixels(target, target.object_points)
+    height, width = outline.shape
+    pixels = pixels[np.all((pixels >= 0) & (pixels < [width, height]), axis=1)].astype(int)
+    near[pixels[:, 1], pixels[:, 0]] = 1
+    around = cv2.dilate(near, disc(_LIMB * shorter_side(outline))) > 0
+    trimap[outline & body & (around | (len(pixels) == 0))] = cv2.GC_PR_FGD
+    pixels, depth = project_points(target.camera, target.other_points)
+    inside = (depth > 0.5) & np.all((pixels >= 0) & (pixels < [width, height]), axis=1)
+    u, v = pixels[inside].astype(int).T
+    trimap[v, u] = cv2.GC_BGD
+    trimap[core & outline] = cv2.GC_FGD
+    return trimap
 
 
 def _vehicle_outline(target: SegmentationTarget) -> Mask:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import asdict
 from pathlib import Path
 
@@ -35,6 +35,7 @@ from recast.core.records import Record, read_record
 from recast.core.torch_file import read_safetensors
 from recast.logs import Trajectory
 from recast.logs.images import encode
+from recast.scene.deformation import Gait
 from recast.scene.exchange import CONVENTIONS
 from recast.splats import CLASSIC, MIP, Gaussians, LowPass, read_ply, write_ply
 from recast.splats.formats import (
@@ -132,12 +133,14 @@ VEHICLE_FILE = "vehicle.ply"
 SHADOW_FILE = "shadow.safetensors"
 SOURCE_FILE = "source.png"
 REFINED_FILE = "refined.safetensors"
+GAIT_FILE = "gait.safetensors"
 
 SOURCE_PIXELS = 1 << 26
 """Pixels of a source image, at most: a crop of a camera's image has far fewer."""
 
 _MEND = "generate the actor again with this version of recast"
 _FIELDS = ("means", "quats", "log_scales", "logit_opacities", "sh")
+_GAIT = ("rotations", "translations", "way")
 _SEEN = "seen_shadow."  # before the fields of that shadow
 VEHICLE_SUFFIXES = tuple(dict.fromkeys((".ply", *MESH_SUFFIXES, *sorted(GENERATORS.files))))
 """Ends of the names of files that hold a vehicle, in lower case."""
@@ -176,6 +179,8 @@ def save_actor(actor: Actor, folder: str | Path) -> None:
         files.write_bytes(partial / SHADOW_FILE, save(shadow))
         if actor.shares is not None:
             files.write_bytes(partial / REFINED_FILE, save(_refined(actor)))
+        if actor.gait is not None:
+            files.write_bytes(partial / GAIT_FILE, save(_gait(actor.gait)))
         files.write_bytes(partial / SOURCE_FILE, encode(actor.source))
         files.write_json(partial / ACTOR_FILE, record.model_dump(mode="json"))
 
@@ -193,8 +198,7 @@ def load_actor(folder: str | Path) -> Actor:
     shares, trajectory, sun, seen_shadow = None, None, None, None
     refinement = record.provenance.refinement
     if refinement is not None and refinement.kept:
-        shares, trajectory, sun = _read_refined(folder / REFINED_FILE)
-        seen_shadow = _read_shadow(folder / REFINED_FILE, _SEEN)
+        shares, trajectory, sun, seen_shadow = _read_refined(folder / REFINED_FILE)
     actor = Actor(
         track_id=record.track_id,
         category=record.category,
@@ -208,6 +212,7 @@ def load_actor(folder: str | Path) -> Actor:
         trajectory=trajectory,
         sun=sun,
         seen_shadow=seen_shadow,
+        gait=_read_gait(folder / GAIT_FILE) if (folder / GAIT_FILE).exists() else None,
     )
     try:
         actor.validate()
@@ -235,30 +240,60 @@ def _read_shadow(path: Path, start: str = "") -> Gaussians:
 
 def _refined(actor: Actor) -> dict[str, torch.Tensor]:
     """What refinement adds to an actor, by name."""
-    assert actor.shares is not None and actor.trajectory is not None and actor.sun is not None
-    assert actor.seen_shadow is not None
-    return {
-        **{_SEEN + name: getattr(actor.seen_shadow, name).contiguous() for name in _FIELDS},
+    assert actor.shares is not None and actor.trajectory is not None
+    found = {
         "seen": actor.shares.seen.contiguous(),
         "mirrored": actor.shares.mirrored.contiguous(),
         "timestamps_us": torch.from_numpy(actor.trajectory.timestamps_us).contiguous(),
         "poses": torch.from_numpy(actor.trajectory.poses).contiguous(),
-        "sun": torch.from_numpy(actor.sun).contiguous(),
     }
+    if actor.sun is not None:
+        found["sun"] = torch.from_numpy(actor.sun).contiguous()
+    if actor.seen_shadow is not None:
+        shadow = actor.seen_shadow
+        found |= {_SEEN + name: getattr(shadow, name).contiguous() for name in _FIELDS}
+    return found
 
 
-def _read_refined(path: Path) -> tuple[Shares, Trajectory, NDArray[np.float64]]:
+def _read_refined(
+    path: Path,
+) -> tuple[Shares, Trajectory, NDArray[np.float64] | None, Gaussians | None]:
+    """Shares, trajectory; sun and seen shadow, which a person has not."""
     types = dict.fromkeys(("seen", "mirrored"), torch.float32)
-    types |= {"timestamps_us": torch.int64, "poses": torch.float64, "sun": torch.float64}
+    types |= {"timestamps_us": torch.int64, "poses": torch.float64}
+    tensors = _typed(path, types)
+    times, poses = tensors["timestamps_us"].numpy(), tensors["poses"].numpy()
+    if times.ndim != 1:
+        raise InputError(path, "timestamps_us", f"has shape {times.shape}", _MEND)
+    shares, trajectory = Shares(tensors["seen"], tensors["mirrored"]), Trajectory(times, poses)
+    sun = _typed(path, {"sun": torch.float64})["sun"].numpy() if "sun" in tensors else None
+    seen = any(name.startswith(_SEEN) for name in tensors)
+    return shares, trajectory, sun, _read_shadow(path, _SEEN) if seen else None
+
+
+def _typed(path: Path, types: Mapping[str, torch.dtype]) -> dict[str, torch.Tensor]:
+    """The tensors of a file, of which some must be there and of these types."""
     tensors = _tensors(path, types)
     for name, kind in types.items():
         if tensors[name].dtype != kind:
             raise InputError(path, name, f"is {tensors[name].dtype}, not {kind}", _MEND)
-    times, poses = tensors["timestamps_us"].numpy(), tensors["poses"].numpy()
-    if times.ndim != 1:
-        raise InputError(path, "timestamps_us", f"has shape {times.shape}", _MEND)
-    shares = Shares(tensors["seen"], tensors["mirrored"])
-    return shares, Trajectory(times, poses), tensors["sun"].numpy()
+    return tensors
+
+
+def _gait(gait: Gait) -> dict[str, torch.Tensor]:
+    arrays = {name: torch.from_numpy(getattr(gait, name)).contiguous() for name in _GAIT}
+    steps = torch.tensor([gait.cycle, gait.phase], dtype=torch.float64)
+    return {**arrays, "weights": gait.weights.contiguous(), "steps": steps}
+
+
+def _read_gait(path: Path) -> Gait:
+    types = dict.fromkeys((*_GAIT, "steps"), torch.float64)
+    tensors = _typed(path, {**types, "weights": torch.float32})
+    if tuple(tensors["steps"].shape) != (2,) or tensors["way"].ndim != 2:
+        raise InputError(path, "steps, way", "have other shapes than gaits have", _MEND)
+    cycle, phase = tensors["steps"].tolist()
+    rotations, translations, way = (tensors[name].numpy() for name in _GAIT)
+    return Gait(tensors["weights"], rotations, translations, cycle, phase, way)
 
 
 def _read_source(path: Path) -> np.ndarray:
@@ -321,7 +356,8 @@ class ActorFolderGenerator(BaseGenerator):
         """
         actor = load_actor(self.path)
         details = {"file": self.path.name, "made_by": actor.provenance.generator}
-        return Asset(actor.gaussians, VEHICLE, self.name, seed, details, actor.low_pass)
+        gait = actor.gait
+        return Asset(actor.gaussians, VEHICLE, self.name, seed, details, actor.low_pass, gait=gait)
 
 
 EXPORT_VERSION = 1

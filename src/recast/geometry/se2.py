@@ -81,6 +81,8 @@ _SAME = 0.5
 """Metres by which places of a chain that a vehicle passes twice are taken to be one."""
 _AHEAD = 5
 """States over which the direction of the motion is taken."""
+_ON_ITS_WAY, _ALONG_ITS_WAY = 1.0, 0.5
+"""Metres beside its own way, and cosine of the turn off it, within which somebody is on it."""
 _BLOCK = 1_000_000
 """Point-segment pairs projected at once: a LiDAR sweep on a long route would fill the memory."""
 
@@ -181,6 +183,22 @@ class Polyline:
             known = None if around is None else around[rows]
             s[rows], lateral[rows] = self._nearest(flat[rows], known, reach)
         return s.reshape(query.shape[:-1]), lateral.reshape(query.shape[:-1])
+
+    def gone(self, pose: ArrayLike) -> float:
+        """Metres that a walker whose way this is has gone when it is at a planar pose (3,).
+
+        On the way (within a metre and 60 degrees of it), those to the nearest place of it. Off it,
+        on a scenario's way, those that the pose is ahead of the start in the direction in which it
+        looks: straight on it walks.
+        """
+        pose = np.asarray(pose, np.float64)
+        place, heading = pose[:2], pose[2]
+        along, beside = self.to_frenet(place)
+        turned = np.cos(heading - self.heading(along))
+        if abs(beside) > _ON_ITS_WAY or turned < _ALONG_ITS_WAY:
+            ahead = np.array([np.cos(heading), np.sin(heading)])
+            return float((place - self.points[0]) @ ahead)
+        return float(along)
 
     def _nearest(self, flat: Array, near: Array | None, reach: float) -> tuple[Array, Array]:
         starts, directions = self.points[:-1], self._directions

@@ -132,6 +132,7 @@ def actor_mask(
     actor: SceneActor, camera: PinholeCamera, camera_from_world: Array, world_from_actor: Array
 ) -> Mask:
     """Pixels (H, W) that a vehicle drawn alone, without its shadow, covers by more than half."""
+    actor = actor.stepped_at(world_from_actor)
     placed = actor.gaussians.detach().transformed(torch.from_numpy(world_from_actor))
     with torch.no_grad():
         alone = draw(placed, camera_from_world, camera, actor.low_pass)

@@ -24,7 +24,13 @@ from recast.reconstruction import SceneConfig
 from recast.reconstruction.views import is_held_out, modelled_tracks
 from recast.runs.actor import ActorMakers
 from recast.runs.arms import OWN_STREET, PRESETS, Arm, truth_of
-from recast.runs.completion import ALL, NEAR, CompletedVehicles, choose_completed
+from recast.runs.completion import (
+    ALL,
+    NEAR,
+    CompletedVehicles,
+    choose_completed,
+    makeable,
+)
 from recast.runs.config import RunConfig
 from recast.runs.making import (
     Maker,
@@ -117,21 +123,23 @@ class Artefacts:
             self._makers[key] = ActorMakers.named(*key)
         return self._makers[key]
 
-    def require_vehicles(self) -> None:
+    def require_makeable(self) -> None:
         """Refuse tracks that an arm's generator cannot make.
 
         Raises:
-            InputError: a track is a person, or "misc" such as a trailer, and the generator is one
-                of recast's own.
+            InputError: a track is a person and the generator makes vehicles, or the other way
+                round; or it is "misc", such as a trailer, and the generator is one of recast's own.
         """
         for arm in self.arms.values():
             for track in self.tracks() if arm.generates else ():
-                category = self.source.log.tracks[track].category
-                if category in (*PEOPLE, "misc") and GENERATORS.is_own(str(arm.generator)):
+                category, name = self.source.log.tracks[track].category, str(arm.generator)
+                makes = makeable([name])
+                special = category in (*PEOPLE, "misc") or "car" not in makes
+                if GENERATORS.is_own(name) and special and category not in makes:
                     raise InputError(
                         f"arm {arm.name}",
                         f"track {track}",
-                        f"is {category}: {arm.generator} makes cars, vans, trucks and buses",
+                        f"is {category}: {name} makes {', '.join(makes)}",
                         "give `arm` native, and oracle on a synthetic log; or another `generator`",
                         "docs/scenarios.md#people",
                     )
@@ -275,14 +283,15 @@ class Artefacts:
 
     @cached_property
     def completion(self) -> CompletedVehicles:
-        """Vehicles beside the target that are made complete; InputError: `choose_completed`."""
+        """Who beside the target is made complete; InputError: `choose_completed`."""
         config, words = self.config, self.config.complete
         if not words:
             return CompletedVehicles()
         if not any(arm.generates for arm in self.arms.values()):
             problem, mend = "is given, but no arm makes vehicles", "give an `arm` such as replaced"
             raise InputError("`complete`", ", ".join(words), problem, mend)
-        return choose_completed(self.source.log, config.track, words, config.scene)
+        generators = [str(arm.generator) for arm in self.arms.values() if arm.generates]
+        return choose_completed(self.source.log, config.track, words, config.scene, generators)
 
     def rollout(
         self, motion: str, planner: str, arm: Arm, timings: Timings | None = None

@@ -1,24 +1,37 @@
-"""Which vehicles beside the target are made complete, and why others stay reconstructed."""
+"""Who beside the target is made complete, and why others stay reconstructed."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
+from recast.actors import DEFAULT_GENERATOR, GENERATORS
 from recast.actors.observe import why_not_seen
+from recast.actors.people.generator import require_person
 from recast.core.errors import InputError
 from recast.logs import DrivingLog, all_track_points
-from recast.logs.types import VEHICLES
+from recast.logs.types import PEOPLE, VEHICLES
 from recast.reconstruction import SceneConfig
 from recast.reconstruction.views import modelled_tracks
 
 ALL, NEAR = "all", "near"
 _COST = "about a minute of CPU time"
-"""With one camera of 621x188 50 s; a vehicle that is in the store costs nothing."""
+"""With one camera of 621x188 50 s, a person 15 s; what is in the store costs nothing."""
 _NEAR = 30.0
 """Metres from the recorded ego within which a rollout shows a vehicle's sides."""
+
+
+def makeable(generators: Iterable[str]) -> tuple[str, ...]:
+    """Categories of tracks that all generators of some names make; those of others than recast's
+    own are not known, so that they may make all."""
+    found: tuple[str, ...] = (*VEHICLES, *PEOPLE)
+    for name in generators:
+        if GENERATORS.is_own(name) and name != DEFAULT_GENERATOR:
+            own = PEOPLE if name == "people" else VEHICLES
+            found = tuple(one for one in found if one in own)
+    return found
 
 
 @dataclass(frozen=True)
@@ -26,8 +39,8 @@ class CompletedVehicles:
     """The choice.
 
     Attributes:
-        tracks: ids of the vehicles beside the target that are made complete.
-        left: why other vehicles stay as reconstructed, by track id.
+        tracks: ids of the road users beside the target that are made complete.
+        left: why others stay as reconstructed, by track id.
     """
 
     tracks: tuple[str, ...] = ()
@@ -44,32 +57,39 @@ class CompletedVehicles:
 
 
 def choose_completed(
-    log: DrivingLog, target: str, words: Sequence[str], config: SceneConfig
+    log: DrivingLog,
+    target: str,
+    words: Sequence[str],
+    config: SceneConfig,
+    generators: Iterable[str] = (DEFAULT_GENERATOR,),
 ) -> CompletedVehicles:
-    """Choose among cars, vans, trucks and buses.
+    """Choose among cars, vans, trucks and buses, pedestrians and cyclists.
 
     Args:
         target: id of the target, which is always made complete.
         words: "all", "near" (within 30 m of the recorded ego), or track ids.
         config: settings of the street: which images may be looked at.
+        generators: names of those that have to make all of them.
 
     Raises:
-        InputError: a track is not in the log, is no vehicle, or is seen too little.
+        InputError: a track is not in the log, is of a category that is not made, or is seen too
+            little.
     """
+    makes = makeable(generators)
     named = [word for word in words if word not in (ALL, NEAR)]
     for key in named:
         if key not in log.tracks:
             mend = f"give {ALL}, {NEAR}, or one of {', '.join(log.tracks)}"
             raise InputError("`complete`", f"track {key}", "is not in the log", mend)
         track = log.tracks[key]
-        if track.category not in VEHICLES:
-            problem = f"is a {track.category}, which no generator makes"
-            mend = f"name tracks of the categories {', '.join(VEHICLES)}"
+        if track.category not in makes:
+            problem = f"is a {track.category}, which {', '.join(generators)} does not make"
+            mend = f"name tracks of the categories {', '.join(makes)}"
             raise InputError("`complete`", f"track {key}", problem, mend)
     named = list(dict.fromkeys(named))
-    wide = [key for key in _asked(log, words) if key not in (*named, target)]
+    wide = [key for key in _asked(log, words, makes) if key not in (*named, target)]
     points = all_track_points(log, {key: log.tracks[key] for key in (*named, *wide)})
-    whys = {key: why_not_seen(log, key, len(own.points), config) for key, own in points.items()}
+    whys = {key: _why_not(log, key, len(own.points), config) for key, own in points.items()}
     for key in named:
         if whys[key] is not None:
             raise InputError("`complete`", f"track {key}", str(whys[key]), "leave it out")
@@ -83,12 +103,22 @@ def choose_completed(
     )
 
 
-def _asked(log: DrivingLog, words: Sequence[str]) -> list[str]:
-    """Vehicles that "all" or "near" stand for, in the order of the log."""
-    vehicles = [key for key, track in log.tracks.items() if track.category in VEHICLES]
+def _why_not(log: DrivingLog, key: str, points: int, config: SceneConfig) -> str | None:
+    track = log.tracks[key]
+    if track.category in PEOPLE:
+        try:
+            require_person(track.category, track.size, key)
+        except InputError as error:
+            return error.problem
+    return why_not_seen(log, key, points, config)
+
+
+def _asked(log: DrivingLog, words: Sequence[str], makes: Sequence[str]) -> list[str]:
+    """Road users that "all" or "near" stand for, in the order of the log."""
+    found = [key for key, track in log.tracks.items() if track.category in makes]
     if ALL in words:
-        return vehicles
-    return [key for key in vehicles if NEAR in words and _distance(log, key) <= _NEAR]
+        return found
+    return [key for key in found if NEAR in words and _distance(log, key) <= _NEAR]
 
 
 def _distance(log: DrivingLog, track: str) -> float:

@@ -18,6 +18,7 @@ from rich.markup import escape
 from recast.actors import load_actor
 from recast.core import Artefact, Store, file_hash, folder_hash
 from recast.core.errors import printable
+from recast.logs.types import PEOPLE
 from recast.reconstruction import train_scene
 from recast.reconstruction.config import SceneConfig
 from recast.reconstruction.evaluate import evaluate_scene
@@ -215,7 +216,8 @@ def register_vehicle(
             )
         print_actor(actor, maker.console)
 
-    title = f"vehicle of track {track} by {parts.name}"
+    kind = "person" if source.log.tracks[track].category in PEOPLE else "vehicle"
+    title = f"{kind} of track {track} by {parts.name}"
     return maker.make(title, "actors", inputs, make, f"{title}, {source.log.name}")
 
 

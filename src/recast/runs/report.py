@@ -376,8 +376,9 @@ def facts(config: RunConfig, log: DrivingLog) -> tuple[Fact, ...]:
 def _others(config: RunConfig, log: DrivingLog) -> list[Fact]:
     """Vehicles beside the target, and traffic; nothing where the run asks for neither."""
     found = []
-    if config.complete and any(arm.generates for arm in config.arms):
-        chosen = choose_completed(log, config.track, config.complete, config.scene)
+    generators = [str(arm.generator) for arm in config.arms if arm.generates]
+    if config.complete and generators:
+        chosen = choose_completed(log, config.track, config.complete, config.scene, generators)
         left = "; ".join(f"track {key} as reconstructed: {why}" for key, why in chosen.left)
         found.append(Fact("Complete, too", ", ".join(chosen.tracks) or "none", left))
     if config.traffic != "none":

@@ -95,7 +95,7 @@ def run(
     artefacts = Artefacts(
         open_store(place), source, config, sources, console, source.log.name, config.threads
     )
-    artefacts.require_vehicles()
+    artefacts.require_makeable()
     require_distinct_planners({word: artefacts.planner(word) for word in config.planners})
     for planner in config.planners:
         announce_planner(artefacts.planner(planner), artefacts.mounts(planner), console)

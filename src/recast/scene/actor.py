@@ -23,6 +23,7 @@ from recast.cameras import PinholeCamera
 from recast.geometry import se3
 from recast.logs import Trajectory
 from recast.logs.checks import BOX_SIDE
+from recast.scene.deformation import Gait
 from recast.splats import (
     CLASSIC,
     FrozenGaussians,
@@ -161,7 +162,8 @@ def painted(gaussians: Gaussians, colour: Sequence[float] | Tensor) -> Gaussians
 def painted_actor(
     actor: SceneActor, colour: Sequence[float] | Tensor, shadow: Sequence[float]
 ) -> SceneActor:
-    """An actor of one colour, rigid and in no light, with a shadow of another; see `painted`."""
+    """An actor of one colour, in no light and of one shape but for its gait, with a shadow of
+    another; see `painted`."""
     actor = actor.shaped_at(None)
     return replace(
         actor,
@@ -216,6 +218,7 @@ class SceneActor:
         low_pass: the filter that the Gaussians were made for, see `recast.splats.refiltered`.
         light: what lights it anew where it stands, or None for an actor that keeps the light it was
             recorded in. Not saved with a scene.
+        gait: how a person's body moves with the way that it goes, or None. Likewise.
     """
 
     track_id: str
@@ -227,6 +230,7 @@ class SceneActor:
     deformation: Deforming | None = None
     low_pass: LowPass = CLASSIC
     light: Lighting | None = None
+    gait: Gait | None = None
 
     def validate(self, where: str) -> None:
         """Raise ValueError naming the member of `where` at fault."""
@@ -241,6 +245,8 @@ class SceneActor:
             self.appearance.validate(where, len(self.gaussians))
         if self.deformation is not None:
             self.deformation.validate(f"{where}.deformation", len(self.gaussians))
+        if self.gait is not None:
+            self.gait.validate(f"{where}.gait", len(self.gaussians))
 
     def coloured_at(self, timestamp_us: int) -> SceneActor:
         """The actor with the colours that it had at a time of the recording."""
@@ -266,6 +272,12 @@ class SceneActor:
     def lit_at(self, pose: Array) -> SceneActor:
         """The actor in the light of `pose` (4, 4) `world_from_actor`."""
         return self if self.light is None else self.light.lit(self, pose)
+
+    def stepped_at(self, pose: Array) -> SceneActor:
+        """The actor with the limbs that it has at `pose` (4, 4) `world_from_actor`, and rigid."""
+        if self.gait is None:
+            return self
+        return replace(self, gaussians=self.gait.at(self.gaussians, pose), gait=None)
 
     @property
     def drawn(self) -> Gaussians:
@@ -322,6 +334,11 @@ class DrawnActor:
                 parts = actor.shaped_at(shapes_us).frozen(self._device)
                 self._shaped = colours_us, shapes_us, parts
             return self._shaped[2]
+        if actor.gait is not None:
+            if self._lit is None or not np.array_equal(self._lit[0], pose):
+                stepped = actor.lit_at(rounded(pose)).stepped_at(pose)
+                self._lit = np.array(pose), stepped.frozen(self._device)
+            return self._lit[1]
         if actor.light is not None:
             place = rounded(pose)
             if self._lit is None or not np.array_equal(self._lit[0], place):

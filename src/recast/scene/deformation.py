@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 import torch
@@ -13,6 +14,7 @@ from torch.nn import functional
 
 from recast.arrays import Array
 from recast.geometry import se3
+from recast.geometry.se2 import Polyline, from_se3
 from recast.logs import Trajectory
 from recast.logs.checks import check_times
 from recast.splats import Gaussians
@@ -220,21 +222,11 @@ class Skinning:
     def at(self, gaussians: Gaussians, trajectory: Trajectory, timestamp_us: int) -> Gaussians:
         """The Gaussians in the box frame at a time; before the first and after the last, as then.
 
-        Differentiable in the Gaussians. Their rotation is the weighted mean of the joints'
-        quaternions. View-dependent colour does not turn with the limbs.
+        See `skinned`.
         """
         del trajectory
-        moved, turns = (
-            torch.from_numpy(part).to(gaussians.means) for part in self._joints_at(timestamp_us)
-        )
-        weights = self.weights.to(gaussians.means)
-        blend = (weights @ moved.flatten(1)).view(-1, 3, 4)
-        means = (blend[:, :, :3] @ gaussians.means[:, :, None])[..., 0] + blend[:, :, 3]
-        # A quaternion and its negative are one rotation: all take the sign nearest to the heaviest.
-        heaviest = turns[weights.argmax(dim=1)]
-        signs = torch.sign(heaviest @ turns.T + 1e-9)
-        turn = functional.normalize((weights * signs) @ turns, dim=1)
-        return replace(gaussians, means=means, quats=quat_multiply(turn, gaussians.quats))
+        moved, turns = self._joints_at(timestamp_us)
+        return skinned(gaussians, self.weights, moved, turns)
 
     def _joints_at(self, timestamp_us: int) -> tuple[Array, Array]:
         """Rest-to-box transforms (J, 3, 4) of the joints, and their rotations (J, 4)."""
@@ -248,6 +240,102 @@ class Skinning:
         rest = np.einsum("jab,jb->ja", poses[:, :3, :3], self.joints)
         moved = np.concatenate([poses[:, :3, :3], (poses[:, :3, 3] - rest)[..., None]], axis=2)
         return moved, se3.matrix_to_quat(poses[:, :3, :3])
+
+
+def skinned(gaussians: Gaussians, weights: Tensor, moved: Array, turns: Array) -> Gaussians:
+    """Gaussians moved by several rigid motions (linear blend skinning); differentiable in them.
+
+    Their rotation is the weighted mean of the motions' quaternions. View-dependent colour does not
+    turn with the limbs.
+
+    Args:
+        weights: (N, J) of the motions; rows add up to 1.
+        moved: (J, 3, 4) the motions.
+        turns: (J, 4) their rotations, quaternions wxyz.
+    """
+    weights = weights.to(gaussians.means)
+    motions = torch.from_numpy(moved).to(gaussians.means)
+    quats = torch.from_numpy(turns).to(gaussians.means)
+    blend = (weights @ motions.flatten(1)).view(-1, 3, 4)
+    means = (blend[:, :, :3] @ gaussians.means[:, :, None])[..., 0] + blend[:, :, 3]
+    # A quaternion and its negative are one rotation: all take the sign nearest to the heaviest.
+    heaviest = quats[weights.argmax(dim=1)]
+    signs = torch.sign(heaviest @ quats.T + 1e-9)
+    turn = functional.normalize((weights * signs) @ quats, dim=1)
+    return replace(gaussians, means=means, quats=quat_multiply(turn, gaussians.quats))
+
+
+@dataclass(frozen=True)
+class Gait:
+    """How a body moves with the way that it goes: legs that walk, wheels that turn.
+
+    Gaussians are in the box frame of their actor, in the pose of the first phase.
+
+    Attributes:
+        weights: (N, J) float32, of the parts in each Gaussian's motion; rows add up to 1.
+        rotations: (T, J, 4) float64 quaternions wxyz of the parts at T phases, evenly spaced over
+            a cycle, from the first one's.
+        translations: (T, J, 3) float64 metres, likewise.
+        cycle: metres of way in a cycle.
+        phase: shares of a cycle that have passed where the way begins.
+        way: (K, 2) float64 places of the logged way, two or more, metres, world frame.
+    """
+
+    weights: Tensor
+    rotations: Array
+    translations: Array
+    cycle: float
+    phase: float
+    way: Array
+
+    def validate(self, where: str, count: int) -> None:
+        """Raise ValueError naming the member at fault of an actor `where` of `count` Gaussians."""
+        phases, parts = self.rotations.shape[:2] if self.rotations.ndim == 3 else (0, 0)
+        if not (1 <= parts <= MOST_JOINTS and 1 <= phases <= MOST_POSES):
+            raise ValueError(f"{where}.rotations: shape {self.rotations.shape}")
+        shapes = {
+            "weights": (count, parts),
+            "rotations": (phases, parts, 4),
+            "translations": (phases, parts, 3),
+            "way": (len(self.way), 2),
+        }
+        for name, shape in shapes.items():
+            value = getattr(self, name)
+            if tuple(value.shape) != shape or shape[0] == 0:
+                raise ValueError(f"{where}.{name}: expected {shape}, got {tuple(value.shape)}")
+        check_weights(where, self.weights.detach().double().numpy())
+        for name in ("translations", "way"):
+            if not np.all(np.abs(getattr(self, name)) < LARGEST):  # also NaN
+                raise ValueError(f"{where}.{name}: a value is not finite, or out of range")
+        if not np.all(np.abs(np.linalg.norm(self.rotations, axis=2) - 1) < UNIT_TOLERANCE):
+            raise ValueError(f"{where}.rotations: a quaternion is not of length 1")
+        if np.all(self.way == self.way[0]):
+            raise ValueError(f"{where}.way: all places are the same")
+        if not 0.05 <= self.cycle <= 50 or not abs(self.phase) < LARGEST:
+            raise ValueError(f"{where}.cycle: {self.cycle} m, phase {self.phase}")
+
+    def at(self, gaussians: Gaussians, pose: Array) -> Gaussians:
+        """The Gaussians at a pose (4, 4) `world_from_actor`."""
+        return self.posed(gaussians, self.phase_at(pose))
+
+    def posed(self, gaussians: Gaussians, phase: float) -> Gaussians:
+        """The Gaussians at a phase in cycles; see `skinned`."""
+        count = len(self.rotations)
+        place = phase % 1.0 * count
+        left = int(place) % count
+        right, share = (left + 1) % count, place - int(place)
+        turns = se3.slerp(self.rotations[left], self.rotations[right], share)
+        shift = (1 - share) * self.translations[left] + share * self.translations[right]
+        moved = np.concatenate([se3.quat_to_matrix(turns), shift[..., None]], axis=2)
+        return skinned(gaussians, self.weights, moved, turns)
+
+    def phase_at(self, pose: Array) -> float:
+        """Phase in cycles at a pose (4, 4) `world_from_actor`; see `Polyline.gone`."""
+        return self.phase + self._line.gone(from_se3(pose)) / self.cycle
+
+    @cached_property
+    def _line(self) -> Polyline:
+        return Polyline.from_points(self.way)
 
 
 def joint_poses(rotations: Array, joints: Array, parents: NDArray[np.int64]) -> Array:

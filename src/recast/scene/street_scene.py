@@ -222,7 +222,7 @@ class StreetScene(Brief):
         """
         parts = [self.background]
         for track_id, pose in {**self.standing, **poses}.items():
-            actor = self.actors[track_id].shaped_at(timestamp_us).lit_at(pose)
+            actor = self.actors[track_id].shaped_at(timestamp_us).lit_at(pose).stepped_at(pose)
             parts.append(actor.drawn.transformed(torch.from_numpy(np.array(pose))))
         return concatenate(parts)
 

@@ -81,7 +81,7 @@ class SceneRun:
         sources = Sources.of(config, scene.id, known)
         console = Console(quiet=True)
         self.artefacts = Artefacts(store, source, config, sources, console, scene.id, 1)
-        self.artefacts.require_vehicles()
+        self.artefacts.require_makeable()
         if log is not None:
             self.artefacts.used["log"] = log
 

@@ -131,7 +131,7 @@ class LimbMotion(Protocol):
 
 
 @dataclass(frozen=True)
-class Gait:
+class MovingSurface:
     """A body that moves with the way it has gone; see `recast.synthetic.world.Articulation`."""
 
     motion: LimbMotion  # parts and poses
@@ -152,7 +152,7 @@ def moving_model(kind: str, colour: str, motion: LimbMotion) -> VehicleModel:
     low = np.min([pair[0] for pair in bounds], axis=0) - _BOX_MARGIN
     high = np.max([pair[1] for pair in bounds], axis=0) + _BOX_MARGIN
     low[2] = 0.0
-    gait = Gait(motion, (low + high) / 2)
+    gait = MovingSurface(motion, (low + high) / 2)
     return VehicleModel(kind, kind, colour, high - low, gait.surface_at(0.0), gait)
 
 

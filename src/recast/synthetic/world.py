@@ -28,7 +28,7 @@ from recast.cameras import PinholeCamera
 from recast.core import files, records
 from recast.core.errors import InputError
 from recast.core.images import decode_image
-from recast.geometry import Polyline, boxes, se3
+from recast.geometry import Polyline, boxes, se2, se3
 from recast.logs import HdMap, Trajectory
 from recast.synthetic.surface import Surface
 
@@ -103,10 +103,6 @@ class VehicleModel:
     articulation: Articulation | None = None
 
 
-_ON_ITS_WAY, _ALONG_ITS_WAY = 1.0, 0.5
-"""Metres beside its own way, and cosine of the turn off it, within which somebody is on it."""
-
-
 @dataclass(frozen=True)
 class Vehicle:
     """One vehicle or person in the world."""
@@ -119,19 +115,11 @@ class Vehicle:
     def surface_at(self, pose: Array) -> Surface:
         """Triangles in the actor-local frame when it is at `pose` (4, 4) `world_from_actor`.
 
-        What is articulated has the shape of the place on its own way that is nearest to the pose.
-        Off that way, on a scenario's, the metres that it is ahead of the way's start in the
-        direction in which it looks stand for those that it has gone: straight on it walks.
+        What is articulated has the shape of the place on its own way, see `Polyline.gone`.
         """
         if self.model.articulation is None:
             return self.model.surface
-        place, heading = pose[:2, 3], float(se3.yaw(pose))
-        travelled, beside = self._way.to_frenet(place)
-        turned = np.cos(heading - self._way.heading(travelled))
-        if abs(beside) > _ON_ITS_WAY or turned < _ALONG_ITS_WAY:
-            ahead = np.array([np.cos(heading), np.sin(heading)])
-            travelled = (place - self._way.points[0]) @ ahead
-        return self.model.articulation.surface_at(float(travelled))
+        return self.model.articulation.surface_at(self._way.gone(se2.from_se3(pose)))
 
     @cached_property
     def _way(self) -> Polyline:

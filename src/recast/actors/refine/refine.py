@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from recast.actors.actor import Actor, Refinement, triple
 from recast.actors.evidence import Evidence
+from recast.actors.people.follow import follow_person
 from recast.actors.refine.descent import (
     FIELDS,
     Bend,
@@ -84,6 +85,9 @@ def refine(
         left_out = dict(Counter(evidence.left_out))
         return _reported(actor, Refinement(images=count, left_out=left_out, notes=(note,)))
     views = make_layers(scene, evidence, actor.shadow)
+    if actor.gait is not None:
+        trajectory = scene.actors[actor.track_id].trajectory
+        return follow_person(actor, evidence, views, trajectory, progress)
     told = shadow_evidence(actor, scene, views)
     views = [replace(view, shade=told.darkness * view.shade) for view in views]
     held = views[REFINE.hold_back // 2 :: REFINE.hold_back] or [views[count // 2]]

@@ -18,7 +18,15 @@ if TYPE_CHECKING:
 
 # As in `recast_tools.planner_training.samples`, which imports more than help needs.
 _DriveKind = Literal[
-    "ordinary", "leading", "stationary", "oncoming", "through", "cut-in", "advancing"
+    "ordinary",
+    "leading",
+    "stationary",
+    "oncoming",
+    "through",
+    "cut-in",
+    "advancing",
+    "crossing",
+    "along",
 ]
 _Renderer = Literal["oracle", "native", "replaced", "refined"]
 

@@ -19,7 +19,15 @@ from recast.geometry import se2
 from recast.planning import DrivingCommand
 from recast.planning.gtrs.expert import FORESEEN, TargetObstacle, touched
 from recast.planning.pdm.forecast import box_corners
-from recast.simulation import Advancing, CutIn, Oncoming, StartSituation, Stationary
+from recast.simulation import (
+    Advancing,
+    Along,
+    CutIn,
+    Oncoming,
+    RouteCrossing,
+    StartSituation,
+    Stationary,
+)
 from recast.simulation.actor_motion import DEFAULT_LANE_OFFSET, ScriptMotion, neighbour_lateral
 from recast.synthetic import world
 from recast_tools.planner_data.stage import SampleStage
@@ -41,6 +49,8 @@ _SHARES: dict[DriveKind, float] = {
     "through": 0.03,
     "cut-in": 0.16,
     "advancing": 0.12,
+    "crossing": 0.12,
+    "along": 0.06,
 }
 """Shares of what happens. A planner that rarely follows a car brakes for every one, and one that
 sees no car beside it but those that cut in brakes for these."""
@@ -50,6 +60,10 @@ best that a planner can do behind any car is to brake."""
 _TIGHT, _REACTS = 0.6, 0.5
 """Share of the oncoming cars that leave the ego just what it needs to stop with 2.5 to 6 m/s^2, and
 the seconds until it brakes: where one mostly stops far off, calm braking is the best bet."""
+_RIDES = {"crossing": 0.25, "along": 0.6}
+"""Shares of those who ride a bicycle among the people who cross, and who go along the road."""
+_MEETS = 0.7
+"""Share of the people crossing who come to the route about when the ego does, if it drives on."""
 _AWAY = 0.75
 """Share of the standing cars that show their rear. Nearly all others that do so drive: a planner
 that meets few of these takes every rear for one that drives on."""
@@ -188,6 +202,8 @@ def begin_drive(
     """A drive of one of some kinds from a random place; None where tries were in vain."""
     shares = np.array([_SHARES[kind] for kind in kinds])
     kind: DriveKind = kinds[int(rng.choice(len(kinds), p=shares / shares.sum()))]
+    if kind in _RIDES and not stage.people:
+        return None
     for _ in range(_TRIES):
         found = _begin(stage, kind, rng)
         if found is not None and found.situation(1, rng) is not None:
@@ -217,7 +233,7 @@ def _begin(stage: SampleStage, kind: str, rng: np.random.Generator) -> SampleDri
     token, script = "", np.zeros((0, 4))
     if kind != "ordinary":
         speed = max(speed, 3.0)
-        token = stage.actors[int(rng.integers(len(stage.actors)))]
+        token = _placed(stage, kind, rng)
         script = _script(stage, kind, token, s, speed, rng)
         along = route.project(script)[0]
         if along.min() < 0.0 or along.max() > route.length:
@@ -235,6 +251,16 @@ def _begin(stage: SampleStage, kind: str, rng: np.random.Generator) -> SampleDri
     return SampleDrive(
         stage, kind, token, script, begin_us, state, _BRIEF_MOMENTS if brief else MOMENTS
     )
+
+
+def _placed(stage: SampleStage, kind: str, rng: np.random.Generator) -> str:
+    """Id of who takes part: a vehicle, or somebody on foot or on a bicycle."""
+    among = stage.actors
+    if kind in _RIDES:
+        wanted = "cyclist" if rng.uniform() < _RIDES[kind] else "pedestrian"
+        models = {key: stage.world.vehicles[key].model for key in stage.people}
+        among = tuple(key for key, model in models.items() if model.category == wanted)
+    return among[int(rng.integers(len(among)))]
 
 
 def _runs_into(stage: SampleStage, script: Array, size: Array, begin_us: int) -> bool:
@@ -285,7 +311,51 @@ def _script(
         actor_size=stage.world.vehicles[token].model.size,
         neighbour_lateral=0.0 if kind == "leading" else beside,
     )
-    return _motion(kind, speed, rng).script(start, _STEPS * MOMENTS + FORESEEN, _DT)
+    if kind in _RIDES:
+        rides = stage.world.vehicles[token].model.category == "cyclist"
+        motion = _on_foot_or_bicycle(kind, rides, speed, rng)
+    else:
+        motion = _motion(kind, speed, rng)
+    return motion.script(start, _STEPS * MOMENTS + FORESEEN, _DT)
+
+
+def _on_foot_or_bicycle(
+    kind: str, rides: bool, speed: float, rng: np.random.Generator
+) -> ScriptMotion:
+    """A motion of somebody on foot or on a bicycle, for an ego's speed, m/s."""
+
+    def between(low: float, high: float) -> float:
+        return float(rng.uniform(low, high))
+
+    own = between(2.5, 6.0) if rides else between(0.8, 2.2)
+    side = 1.0 if rng.uniform() < 0.5 else -1.0
+    gap = between(6, 45)
+    if kind == "along":
+        over = rng.uniform() < 0.3
+        lateral = between(-2.5, -0.5) if rng.uniform() < 0.8 else between(0.0, 1.5)
+        return Along(
+            "random",
+            gap=gap,
+            speed=own,
+            lateral=lateral,
+            to=between(-0.5, 0.8) if over else None,
+            delay=between(0.0, 2.5),
+            duration=between(1.5, 3.0),
+        )
+    delay, begin = between(0.0, 1.5), between(2.5, 8.0)
+    if rng.uniform() < _MEETS:
+        begin = float(np.clip(own * (gap / speed + between(-1.2, 1.0) - delay), 2.0, 10.0))
+    stops, turns = rng.uniform() < 0.2, rng.uniform() < 0.1
+    return RouteCrossing(
+        "random",
+        gap=gap,
+        speed=own,
+        begin=side * begin,
+        delay=delay,
+        pause_at=side * between(-0.5, 1.8) if stops else None,
+        pause=between(0.5, 4.0) if stops and rng.uniform() < 0.7 else None,
+        turn_at=side * between(-1.8, -0.6) if turns else None,
+    )
 
 
 def _motion(kind: str, speed: float, rng: np.random.Generator) -> ScriptMotion:

@@ -1,4 +1,4 @@
-"""A synthetic world made ready for samples: its road, its vehicles, and the one in the way."""
+"""A synthetic world made ready for samples: its road, vehicles, people, and who is in the way."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ from recast.logs import DrivingLog
 from recast.planning import ReferenceRoute
 from recast.planning.gtrs.expert import FORESEEN, TargetObstacle, TargetRoad, target_road
 from recast.simulation import RoadSurface
-from recast.synthetic.populate import make_world
+from recast.synthetic.populate import make_world, sample_cyclist, sample_pedestrian
 from recast.synthetic.vehicles import sample_vehicle
 from recast.synthetic.world import Vehicle, World
 
 SECONDS = 16.0
-_ACTORS = 4
+_ACTORS, _WALKERS, _RIDERS = 4, 4, 2
 _STREAM = 901
 
 
@@ -28,6 +28,7 @@ class SampleStage:
     Attributes:
         world: world with vehicles that stand nowhere until they are placed.
         actors: ids of the vehicles to be placed.
+        people: ids of the pedestrians and cyclists to be placed; none in a reconstructed world.
     """
 
     world: World
@@ -36,6 +37,7 @@ class SampleStage:
     surface: RoadSurface
     road: TargetRoad
     actors: tuple[str, ...]
+    people: tuple[str, ...] = ()
 
     def parked(self) -> list[TargetObstacle]:
         """The vehicles that are always there."""
@@ -56,7 +58,7 @@ class SampleStage:
         return [
             TargetObstacle(key, se2.from_se3(v.trajectory.at(times)), v.model.size)
             for key, v in self.world.vehicles.items()
-            if not v.parked and key not in self.actors
+            if not v.parked and key not in (*self.actors, *self.people)
         ]
 
 
@@ -66,18 +68,23 @@ def make_stage(scene: str, seed: int, seconds: float = SECONDS) -> SampleStage:
     Raises:
         InputError: no such scene.
     """
-    world = make_world(scene, seed, seconds)
+    world = make_world(scene, seed, seconds, people=True)
     rng = np.random.default_rng([seed, _STREAM])
     actors = {f"actor-{i}": sample_vehicle(rng) for i in range(_ACTORS)}
+    people = {f"person-{i}": sample_pedestrian(rng) for i in range(_WALKERS)}
+    people |= {f"rider-{i}": sample_cyclist(rng) for i in range(_RIDERS)}
     anywhere = world.vehicles[world.target].trajectory
     added = {key: Vehicle(key, model, anywhere, False) for key, model in actors.items()}
-    return stage_of(replace(world, vehicles={**world.vehicles, **added}), tuple(actors))
+    # Limbs move with the way: of those who are placed, with the ego's.
+    added |= {key: Vehicle(key, model, world.ego, False) for key, model in people.items()}
+    whole = replace(world, vehicles={**world.vehicles, **added})
+    return stage_of(whole, tuple(actors), tuple(people))
 
 
-def stage_of(world: World, actors: tuple[str, ...]) -> SampleStage:
-    """The stage of a world, of whose vehicles some are placed."""
+def stage_of(world: World, actors: tuple[str, ...], people: tuple[str, ...] = ()) -> SampleStage:
+    """The stage of a world, of whose vehicles and people some are placed."""
     log = DrivingLog(world.name, {}, {}, world.ego, {}, map=world.street.map)
     route = ReferenceRoute.from_trajectory(world.ego)
     road = target_road(route, world.street.map)
     surface = RoadSurface.from_log(world.ego, route, world.street.map.ground)
-    return SampleStage(world, log, route, surface, road, actors)
+    return SampleStage(world, log, route, surface, road, actors, people)

@@ -95,7 +95,15 @@ _MIRRORED_CLUES = np.array([-1.0 if name not in ("present", "x", "cos") else 1.0
 
 
 DriveKind = Literal[
-    "ordinary", "leading", "stationary", "oncoming", "through", "cut-in", "advancing"
+    "ordinary",
+    "leading",
+    "stationary",
+    "oncoming",
+    "through",
+    "cut-in",
+    "advancing",
+    "crossing",
+    "along",
 ]
 """What happens in a drive of samples."""
 DRIVE_KINDS: tuple[DriveKind, ...] = get_args(DriveKind)

@@ -1,0 +1,139 @@
+"""Images of a person with what is known of them, and a body drawn into them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from recast.actors.observation import Observation
+from recast.actors.people.body import BodySurface
+from recast.actors.template.cloud import flat_gaussians
+from recast.arrays import Array, Float32Array
+from recast.cameras import PinholeCamera
+from recast.geometry import Polyline, se2, se3
+from recast.scene.actor import draw
+from recast.scene.deformation import Gait
+from recast.splats import MIP, Gaussians
+from recast.splats.gaussians import C0
+
+if TYPE_CHECKING:
+    from recast.actors.refine.images import Layers
+
+_OPACITY, _OVERLAP = 0.99, 1.4  # patches overlap so far that the back does not shine through
+_APART = 0.15  # display values: less may be the street
+NOWHERE = np.array([[0.0, 0.0], [1.0, 0.0]])
+"""The way of a body that is not placed on one yet."""
+
+
+@dataclass(frozen=True)
+class PersonView:
+    """One image of a person, between what is behind it and what hides it."""
+
+    camera: PinholeCamera  # pinhole of the crop, without distortion
+    camera_from_object: Array  # (4, 4)
+    image: Tensor  # (H, W, 3) float32 display values
+    back: Tensor  # (H, W, 3) the street behind, with the person's shadow
+    front: Tensor  # (H, W, 3) what is nearer, weighted by its own opacity
+    through: Tensor  # (H, W) share of light that passes what is nearer
+    mask: Float32Array  # (H, W) in [0, 1], 1 on the person
+    trust: Float32Array  # (H, W) in [0, 1]
+    apart: Float32Array  # (H, W) in [0, 1], 0 where the image is as the street alone
+    weight: float  # beside the other images
+    gone: float  # metres of the person's way, see `Polyline.gone`
+
+    @classmethod
+    def of_crop(cls, observation: Observation) -> PersonView:
+        """The crop of an observation, at an unknown place of the way.
+
+        What a body does not cover is as in the image: no street is known.
+        """
+        rgba = torch.from_numpy(observation.rgba.copy()).float() / 255
+        image, mask = rgba[..., :3].contiguous(), rgba[..., 3].numpy()
+        nothing, all_ = torch.zeros_like(image), torch.ones(image.shape[:2])
+        layers = image, nothing, all_
+        pose = np.array(observation.camera_from_object)
+        return cls(
+            observation.camera,
+            pose,
+            image,
+            *layers,
+            mask,
+            np.ones_like(mask),
+            np.ones_like(mask),
+            weight=1.0,
+            gone=0.0,
+        )
+
+    @classmethod
+    def of_layers(cls, layers: Layers, way: Polyline) -> PersonView:
+        """One image of the evidence."""
+        sighting = layers.sighting
+        usable = (layers.through > 0.5).numpy()
+        back = layers.street * (1 - layers.shade)[..., None]
+        alone = layers.front + layers.through[..., None] * back
+        apart = ((alone - layers.target).abs().amax(dim=-1) / _APART).clamp(0, 1)
+        return cls(
+            sighting.camera,
+            sighting.camera_from_object,
+            layers.target,
+            back,
+            layers.front,
+            layers.through,
+            sighting.mask,
+            sighting.trust * usable,
+            apart.numpy(),
+            sighting.weight,
+            way.gone(se2.from_se3(sighting.world_from_object)),
+        )
+
+    @property
+    def area(self) -> float:
+        """Trusted pixels of the mask, at least one."""
+        return max(float((self.mask * self.trust).sum()), 1.0)
+
+    def drawn(self, gaussians: Gaussians) -> tuple[Tensor, Tensor]:
+        """The picture (H, W, 3) with a body, and the body's opacity (H, W); differentiable."""
+        shown = draw(gaussians, self.camera_from_object, self.camera, MIP)
+        inner = shown.rgb + (1 - shown.alpha)[..., None] * self.back
+        return self.front + self.through[..., None] * inner, shown.alpha
+
+    def differs(self, picture: Tensor, alpha: Tensor) -> tuple[float, float]:
+        """Shares of the mask's area by which outlines differ, and by which display values do."""
+        outline = float((np.abs(alpha.numpy() - self.mask) * self.trust).sum())
+        wrong = (picture - self.image).abs().mean(dim=-1).numpy() * self.trust
+        return outline / self.area, float(wrong.sum()) / self.area
+
+
+def box_from_body(size: Array, place: Array) -> Array:
+    """(4, 4) of a body that stands on the box's floor."""
+    return se3.from_rotation_translation(np.eye(3), [place[0], place[1], -float(size[2]) / 2])
+
+
+def gaussians_of(surface: BodySurface, pose: Array, colours: Array | Tensor) -> Gaussians:
+    """One Gaussian a patch, of display colours (N, 3), in the box frame.
+
+    Args:
+        pose: (4, 4) `box_from_body`.
+    """
+    points = se3.apply(pose, surface.points)
+    sh = (np.asarray(colours, np.float64) - 0.5)[:, None] / C0
+    rows = np.arange(len(points))
+    edges = _OVERLAP * surface.spacing
+    return flat_gaussians(rows, points, surface.normals, edges, sh, _OPACITY)
+
+
+def gait_of(surface: BodySurface, pose: Array, cycle: float, phase: float, way: Array) -> Gait:
+    """The gait of a body at `pose` (4, 4) `box_from_body`, on a way (K, 2)."""
+    motions = pose @ surface.motions @ se3.inverse(pose)
+    return Gait(
+        torch.from_numpy(surface.weights).float(),
+        se3.matrix_to_quat(motions[..., :3, :3]),
+        np.ascontiguousarray(motions[..., :3, 3]),
+        cycle,
+        phase,
+        way,
+    )
