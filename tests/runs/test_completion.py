@@ -14,6 +14,7 @@ from recast.cli.main import main
 from recast.core.errors import InputError
 from recast.logs import DrivingLog
 from recast.logs.store import write_log
+from recast.logs.types import VEHICLES
 from recast.reconstruction import SceneConfig
 from recast.runs.completion import CompletedVehicles, choose_completed, makeable
 
@@ -67,7 +68,8 @@ def test_an_image_too_small_tells(tiny_log: DrivingLog) -> None:
 def test_people_are_completed_by_generators_that_make_them(tiny_log: DrivingLog) -> None:
     walker = with_track(tiny_log, "0", category="pedestrian", size=np.array([1.85, 1.28, 2.0]))
     assert choose_completed(walker, "1", ("all",), CONFIG).tracks == ("0",)
-    assert choose_completed(walker, "1", ("all",), CONFIG, ["template"]) == CompletedVehicles()
+    told = dict(choose_completed(walker, "1", ("all",), CONFIG, ["template"]).left)
+    assert told == {"0": "it is a pedestrian, which template does not make"}
     with pytest.raises(InputError, match="is a pedestrian, which template does not make"):
         choose_completed(walker, "1", ("0",), CONFIG, ["template"])
     with pytest.raises(InputError, match="track 9: is not in the log; give all, near, or one"):
@@ -81,7 +83,7 @@ def test_who_makes_whom() -> None:
     assert makeable(["auto", "people"]) == ("pedestrian", "cyclist")
     assert makeable(["template"]) == ("car", "van", "truck", "bus")
     assert makeable(["template", "people"]) == ()
-    assert "cyclist" in makeable(["some_package:Generator"])
+    assert makeable(["library:folder"]) == makeable(["./car.ply"]) == VEHICLES
 
 
 @pytest.mark.parametrize(

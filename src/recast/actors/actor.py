@@ -11,9 +11,9 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from recast.actors.generate import Asset
+from recast.actors.generate import PEOPLE_GENERATOR, Asset
 from recast.actors.icp import Fit
-from recast.actors.observation import MaskQuality, Observation
+from recast.actors.observation import MaskQuality, Observation, warnings_of
 from recast.arrays import Array
 from recast.cameras import PinholeCamera, box_rectangle
 from recast.core.brief import Brief
@@ -21,6 +21,7 @@ from recast.core.records import Record
 from recast.geometry import se3
 from recast.logs import Trajectory
 from recast.logs.checks import BOX_SIDE
+from recast.logs.types import PEOPLE
 from recast.scene import StreetScene
 from recast.scene.actor import BLACK, DrawnActor, painted, painted_actor
 from recast.scene.deformation import Gait
@@ -295,17 +296,28 @@ class RegistrationReport(Record):
         votes = ", ".join(f"{kind} {vote:+.1f}" for kind, vote in self.front.votes.items())
         turned = "turned by 180 degrees" if self.front.flipped else "kept"
         ended = "converged" if self.icp_converged else "stopped"
+        first = [
+            f"scale {self.initial_scale:.3f} from the length; fills {self.width_over_box:.2f} "
+            f"of the box's width, {self.height_over_box:.2f} of its height",
+            f"front {turned} ({votes})",
+        ]
+        last = (
+            f"ICP {ended} after {self.icp_iterations} steps: scale {self.icp_scale:.3f}, yaw "
+            f"{np.degrees(self.icp_yaw):.1f} degrees"
+        )
+        if self.icp_iterations == 0:  # a person
+            first, last = (
+                [],
+                f"placed by its box, of whose height it fills {self.height_over_box:.2f}",
+            )
         return "\n".join(
             [
                 *faults,
-                f"scale {self.initial_scale:.3f} from the length; fills {self.width_over_box:.2f} "
-                f"of the box's width, {self.height_over_box:.2f} of its height",
-                f"front {turned} ({votes})",
+                *first,
                 f"LiDAR to actor, median {self.before.median:.3f} -> {self.after.median:.3f} m, "
                 f"mean {self.before.mean:.3f} -> {self.after.mean:.3f} m, within 0.10 m "
                 f"{self.before.inlier_share:.0%} -> {self.after.inlier_share:.0%}",
-                f"ICP {ended} after {self.icp_iterations} steps: scale {self.icp_scale:.3f}, yaw "
-                f"{np.degrees(self.icp_yaw):.1f} degrees; LiDAR points: {sides}",
+                f"{last}; LiDAR points: {sides}",
             ]
         )
 
@@ -460,7 +472,8 @@ class Provenance(SourceView):
     def warnings(self) -> tuple[str, ...]:
         """What a person should look at: the mask, and what the generator doubts."""
         doubts = str(self.details.get("doubts", ""))
-        return (*self.mask.warnings(), *filter(None, doubts.split("; ")))
+        kind = PEOPLE[0] if self.generator == PEOPLE_GENERATOR else ""
+        return (*warnings_of(kind, self.mask), *filter(None, doubts.split("; ")))
 
     @staticmethod
     def of(asset: Asset, observation: Observation, report: RegistrationReport) -> Provenance:

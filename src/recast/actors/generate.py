@@ -324,6 +324,8 @@ def _extent(points: Array, band: Sequence[float]) -> float:
 
 
 DEFAULT_GENERATOR = "auto"
+PEOPLE_GENERATOR = "people"
+"""Name of the generator whose actors all have a gait."""
 _WHOLE = 0.9  # of the box in the image: the model takes every picture for that of a whole vehicle
 _MINI_SEEDS = 4  # of the small model, 1.6 s each
 

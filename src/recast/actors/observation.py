@@ -13,6 +13,7 @@ from recast.cameras import PinholeCamera, box_rectangle
 from recast.core.errors import InputError
 from recast.geometry import boxes, se3
 from recast.logs import CameraStream, DrivingLog, LidarSweep, Track
+from recast.logs.types import PEOPLE
 
 _BOX_MARGIN = 0.05  # labels are often a little small: a share of the box's extent in the image
 _OCCLUDER_GAP = 0.4  # metres before the box from which a LiDAR return counts as in front of it
@@ -251,6 +252,8 @@ def _turn(first: ViewScore, second: ViewScore) -> float:
 SIDES = {"front": (0, 1), "rear": (0, -1), "left": (1, 1), "right": (1, -1), "top": (2, 1)}
 """Axis and sign of the way out of a box through each of its sides."""
 _COVERAGE = (0.45, 0.97)  # shares of the projected box that the mask of a vehicle fills
+_LEAST_OF_PEOPLE = 0.1
+_FILLS = "mask fills"
 _LIDAR_SHARE = 0.85  # of the LiDAR points, that a good mask puts on the right side
 
 
@@ -353,7 +356,7 @@ class MaskQuality:
         """What a person should look at, empty for a mask without complaint."""
         found = []
         if not _COVERAGE[0] <= self.box_coverage <= _COVERAGE[1]:
-            found.append(f"mask fills {self.box_coverage:.0%} of the projected box")
+            found.append(f"{_FILLS} {self.box_coverage:.0%} of the projected box")
         if self.border_contact > 0.02:
             found.append(f"mask touches {self.border_contact:.0%} of the crop's border")
         if self.lidar_inside < _LIDAR_SHARE:
@@ -366,6 +369,14 @@ class MaskQuality:
                 "mask"
             )
         return (*found, *self.doubts)
+
+
+def warnings_of(category: str, quality: MaskQuality) -> tuple[str, ...]:
+    """What a person should look at: limbs fill little of a box, so that says nothing of people."""
+    told = quality.warnings()
+    if category in PEOPLE and quality.box_coverage > _LEAST_OF_PEOPLE:
+        return tuple(line for line in told if not line.startswith(_FILLS))
+    return told
 
 
 @dataclass(frozen=True)
@@ -433,5 +444,5 @@ class Observation:
             f"further view: {one.view.explain()}, azimuth {np.degrees(one.azimuth):.0f} degrees"
             for one in self.further
         ]
-        lines += [f"warning: {text}" for text in self.mask_quality.warnings()]
+        lines += [f"warning: {text}" for text in warnings_of(self.category, self.mask_quality)]
         return "\n".join(lines)

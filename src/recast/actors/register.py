@@ -69,7 +69,7 @@ from recast.core.diagnostics import Progress
 from recast.core.errors import InputError
 from recast.geometry import se3
 from recast.geometry.colour import cielab, gamma_to_linear
-from recast.logs import DrivingLog, Track, track_points
+from recast.logs import DrivingLog, Track, Trajectory, track_points
 from recast.logs.types import PEOPLE
 from recast.scene.actor import draw, look_at
 from recast.splats import Gaussians, LowPass
@@ -78,6 +78,7 @@ from recast.splats.gaussians import C0
 _LIDAR_POINTS = 6000
 _SURFACE_POINTS = 4000  # used in the yaw search
 _BLACK = 0.02  # display value: less is noise where brightness is compared
+_WAY_STEP = 0.3  # metres between places of a person's way: labels of who stands are noisy
 _SIDE_BAND = 0.25  # metres inside a face of the box within which points count for that side
 
 
@@ -97,7 +98,8 @@ def register(asset: Asset, observation: Observation, log: DrivingLog, track: Tra
     lidar = thinned(np.asarray(points, np.float64), _LIDAR_POINTS)
     size = np.asarray(track.size, np.float64)
     if asset.gait is not None:
-        return _walking(asset, observation, track, lidar, len(points))
+        _require_gait(asset, track)
+        return _as_person(asset, observation, track, lidar, len(points))
     gaussians, surface = stood_up(asset)
     start, front = _orientation(gaussians, surface, lidar, size, observation, track, asset)
     placed = start.apply(surface)
@@ -145,7 +147,31 @@ def register(asset: Asset, observation: Observation, log: DrivingLog, track: Tra
     )
 
 
-def _walking(
+def _require_gait(asset: Asset, track: Track) -> None:
+    """Refuse a gait of a vehicle, and one that a generator of users' own made wrong."""
+    assert asset.gait is not None
+    where = f"generator {asset.generator}"
+    if track.category not in PEOPLE:
+        problem = f"is a person, and track {track.track_id} is of the category {track.category}"
+        raise InputError(where, "gait", problem, "choose another `generator`")
+    try:
+        asset.gait.validate("gait", len(asset.gaussians))
+    except ValueError as error:
+        raise InputError(where, "gait", str(error), "mend the generator") from None
+
+
+def _way(trajectory: Trajectory) -> Array:
+    """(K, 2) places of a track without the noise of its labels, and one a little ahead."""
+    places = trajectory.poses[:, :2, 3]
+    kept = [places[0]]
+    for place in places[1:]:
+        if np.hypot(*(place - kept[-1])) > _WAY_STEP:
+            kept.append(place)
+    ahead = trajectory.poses[-1, :2, 0] if len(kept) == 1 else kept[-1] - kept[-2]
+    return np.stack([*kept, kept[-1] + 0.1 * ahead / np.linalg.norm(ahead)])
+
+
+def _as_person(
     asset: Asset, observation: Observation, track: Track, lidar: Array, points: int
 ) -> Actor:
     """A person on the track's way, in the box where its generator put it.
@@ -157,8 +183,7 @@ def _walking(
     surface = outer_surface(asset.gaussians)
     low, high = bounds(surface.points)
     time = observation.view.timestamp_us
-    ahead = trajectory.poses[-1, :2, 3] + 0.01 * trajectory.poses[-1, :2, 0]  # of who stands
-    gait = replace(asset.gait, way=np.concatenate([trajectory.poses[:, :2, 3], ahead[None]]))
+    gait = replace(asset.gait, way=_way(trajectory))
     if trajectory.covers(time):
         gone = gait.phase_at(trajectory.at(time)) - gait.phase
         gait = replace(gait, phase=float(gait.phase - gone))

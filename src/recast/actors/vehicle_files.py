@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 
 import numpy as np
@@ -14,6 +14,7 @@ from safetensors.torch import save
 from recast.actors.actor import Actor, Provenance, Shares, triple
 from recast.actors.generate import (
     AUTO,
+    PEOPLE_GENERATOR,
     VEHICLE,
     ActorGenerator,
     Asset,
@@ -196,6 +197,7 @@ def load_actor(folder: str | Path) -> Actor:
     folder = Path(folder)
     record = read_record(folder / ACTOR_FILE, ActorRecord, ACTOR_VERSION, _MEND)
     shares, trajectory, sun, seen_shadow = None, None, None, None
+    walks = (folder / GAIT_FILE).exists() or record.provenance.generator == PEOPLE_GENERATOR
     refinement = record.provenance.refinement
     if refinement is not None and refinement.kept:
         shares, trajectory, sun, seen_shadow = _read_refined(folder / REFINED_FILE)
@@ -212,7 +214,7 @@ def load_actor(folder: str | Path) -> Actor:
         trajectory=trajectory,
         sun=sun,
         seen_shadow=seen_shadow,
-        gait=_read_gait(folder / GAIT_FILE) if (folder / GAIT_FILE).exists() else None,
+        gait=_read_gait(folder / GAIT_FILE) if walks else None,
     )
     try:
         actor.validate()
@@ -349,15 +351,20 @@ class ActorFolderGenerator(BaseGenerator):
         self.path = path
 
     def generate(self, observation: Observation, seed: int) -> Asset:
-        """Read the folder; the vehicle keeps its size.
+        """Read the folder; a vehicle keeps its size, a person becomes as tall as the box.
 
         Raises:
             InputError: see `load_actor`.
         """
         actor = load_actor(self.path)
         details = {"file": self.path.name, "made_by": actor.provenance.generator}
-        gait = actor.gait
-        return Asset(actor.gaussians, VEHICLE, self.name, seed, details, actor.low_pass, gait=gait)
+        gaussians, gait = actor.gaussians, actor.gait
+        if gait is not None:  # a person as tall as the box, on its floor
+            share = float(observation.size[2] / actor.size[2])
+            gaussians = gaussians.transformed(torch.eye(4), share)
+            moved = share * gait.translations
+            gait = replace(gait, translations=moved, cycle=share * gait.cycle)
+        return Asset(gaussians, VEHICLE, self.name, seed, details, actor.low_pass, gait=gait)
 
 
 EXPORT_VERSION = 1

@@ -174,7 +174,7 @@ MAX_VOXELS = shared.option(
 
 @dataclass(frozen=True)
 class Make:
-    """Generate vehicles from the best view of a track, register them to box and LiDAR, and keep
+    """Generate actors from the best view of a track, register them to box and LiDAR, and keep
     the vehicle that fits the log best; with a scene, refine it on all images."""
 
     log: tyro.conf.Positional[Path]

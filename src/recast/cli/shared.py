@@ -160,7 +160,7 @@ METRIC = option(
 )
 STEPS = option("Steps of 0.1 s for each rollout; fewer if the log or the road ends.", "160")
 COMPLETE = option(
-    "Vehicles beside the target that are made complete, too: all, near (within 30 m of the "
+    "Road users beside the target that are made complete, too: all, near (within 30 m of the "
     "recorded ego), or a track id. May be repeated.",
     "none",
     metavar="TRACK",
@@ -176,8 +176,9 @@ Traffic = Annotated[
 
 # What the actor is made from.
 GENERATOR = option(
-    "Generator of the actor: auto (the better of template and parametric), recast-mini (the "
-    "image-to-3D model in the package), parametric, template, the name of an installed "
+    "Generator of the actor: auto (the better of template and parametric; people for pedestrians "
+    "and cyclists), recast-mini (the image-to-3D model in the package), parametric, template, "
+    "people, the name of an installed "
     "generator, trellis (recast weights), a model folder, a file of Gaussians (PLY, GLB, SPZ, "
     "USDA) or of a mesh (GLB, OBJ), or library:FOLDER (the best vehicle in that folder).",
     "auto",

@@ -81,8 +81,8 @@ _SAME = 0.5
 """Metres by which places of a chain that a vehicle passes twice are taken to be one."""
 _AHEAD = 5
 """States over which the direction of the motion is taken."""
-_ON_ITS_WAY, _ALONG_ITS_WAY = 1.0, 0.5
-"""Metres beside its own way, and cosine of the turn off it, within which somebody is on it."""
+_ACROSS = 0.5
+"""Cosine of the turn off a way below which somebody crosses it."""
 _BLOCK = 1_000_000
 """Point-segment pairs projected at once: a LiDAR sweep on a long route would fill the memory."""
 
@@ -187,18 +187,21 @@ class Polyline:
     def gone(self, pose: ArrayLike) -> float:
         """Metres that a walker whose way this is has gone when it is at a planar pose (3,).
 
-        On the way (within a metre and 60 degrees of it), those to the nearest place of it. Off it,
-        on a scenario's way, those that the pose is ahead of the start in the direction in which it
-        looks: straight on it walks.
+        Those to the nearest place of the way, which goes straight on beyond its ends; who looks
+        back along it goes back. Who looks across (by 60 degrees and more), as on a scenario's way,
+        has gone those beside it. So who turns on the spot moves no leg but where these change over.
         """
         pose = np.asarray(pose, np.float64)
         place, heading = pose[:2], pose[2]
-        along, beside = self.to_frenet(place)
-        turned = np.cos(heading - self.heading(along))
-        if abs(beside) > _ON_ITS_WAY or turned < _ALONG_ITS_WAY:
-            ahead = np.array([np.cos(heading), np.sin(heading)])
-            return float((place - self.points[0]) @ ahead)
-        return float(along)
+        along = self.to_frenet(place)[0]
+        tangent = self.heading(along)
+        ahead = np.array([np.cos(tangent), np.sin(tangent)])
+        offset = place - self.position(along)
+        turned = float(heading - tangent)
+        if abs(np.cos(turned)) < _ACROSS:
+            beside = ahead[0] * offset[1] - ahead[1] * offset[0]
+            return float(np.sign(np.sin(turned)) * beside)
+        return float(np.sign(np.cos(turned)) * (along + offset @ ahead))
 
     def _nearest(self, flat: Array, near: Array | None, reach: float) -> tuple[Array, Array]:
         starts, directions = self.points[:-1], self._directions

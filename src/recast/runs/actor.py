@@ -34,7 +34,7 @@ from recast.actors.evidence import load_evidence, save_evidence
 from recast.actors.generate import candidates_of
 from recast.actors.insert import require_model
 from recast.actors.observation import Usable
-from recast.actors.observe import gather_evidence, training_frames
+from recast.actors.observe import gather_evidence, track_of, training_frames
 from recast.actors.refine import refine
 from recast.actors.register import choose
 from recast.core import files
@@ -46,6 +46,7 @@ from recast.metrics import evaluate_oracle_views
 from recast.reconstruction import SceneConfig
 from recast.reporting.previews import draw_actor_sheet, turntable_frames
 from recast.reporting.video import write_video
+from recast.runs.completion import require_made
 from recast.runs.display import SamplingProgress, truth_table
 from recast.runs.run_folder import (
     ACTOR_FOLDER,
@@ -120,6 +121,7 @@ def make_actor(
         progress: function that is told the stage, the pieces done, and all pieces of the stage.
         usable: tells which frames may be looked at; None: those that are not held out.
     """
+    require_made(makers.generator.name, track_of(log, track_id), "`generator`")
     usable = training_frames(config) if usable is None else usable
     observation = observe(
         log,

@@ -16,8 +16,6 @@ from recast.core.artefact import value_hash
 from recast.core.diagnostics import ProgressBar
 from recast.core.errors import InputError
 from recast.core.foreign import whole
-from recast.core.plugins import GENERATORS
-from recast.logs.types import PEOPLE
 from recast.metrics.plan_agreement import plan_agreement, write_agreement
 from recast.planning import BasePlanner, Planner, looked_at, make_planner
 from recast.reconstruction import SceneConfig
@@ -29,7 +27,7 @@ from recast.runs.completion import (
     NEAR,
     CompletedVehicles,
     choose_completed,
-    makeable,
+    require_made,
 )
 from recast.runs.config import RunConfig
 from recast.runs.making import (
@@ -124,25 +122,10 @@ class Artefacts:
         return self._makers[key]
 
     def require_makeable(self) -> None:
-        """Refuse tracks that an arm's generator cannot make.
-
-        Raises:
-            InputError: a track is a person and the generator makes vehicles, or the other way
-                round; or it is "misc", such as a trailer, and the generator is one of recast's own.
-        """
+        """Refuse tracks that an arm's generator cannot make. Raises InputError: `require_made`."""
         for arm in self.arms.values():
             for track in self.tracks() if arm.generates else ():
-                category, name = self.source.log.tracks[track].category, str(arm.generator)
-                makes = makeable([name])
-                special = category in (*PEOPLE, "misc") or "car" not in makes
-                if GENERATORS.is_own(name) and special and category not in makes:
-                    raise InputError(
-                        f"arm {arm.name}",
-                        f"track {track}",
-                        f"is {category}: {name} makes {', '.join(makes)}",
-                        "give `arm` native, and oracle on a synthetic log; or another `generator`",
-                        "docs/scenarios.md#people",
-                    )
+                require_made(str(arm.generator), self.source.log.tracks[track], f"arm {arm.name}")
 
     def forget_makers(self) -> None:
         """Let go of the networks of generators and segmenters."""

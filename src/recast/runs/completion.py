@@ -8,10 +8,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from recast.actors import DEFAULT_GENERATOR, GENERATORS
+from recast.actors.generate import PEOPLE_GENERATOR
 from recast.actors.observe import why_not_seen
 from recast.actors.people.generator import require_person
 from recast.core.errors import InputError
-from recast.logs import DrivingLog, all_track_points
+from recast.logs import DrivingLog, Track, all_track_points
 from recast.logs.types import PEOPLE, VEHICLES
 from recast.reconstruction import SceneConfig
 from recast.reconstruction.views import modelled_tracks
@@ -24,14 +25,41 @@ _NEAR = 30.0
 
 
 def makeable(generators: Iterable[str]) -> tuple[str, ...]:
-    """Categories of tracks that all generators of some names make; those of others than recast's
-    own are not known, so that they may make all."""
+    """Categories of tracks that all generators of some names make: files, libraries and models hold
+    vehicles; what code of users' own makes is not known, so that it may be all."""
     found: tuple[str, ...] = (*VEHICLES, *PEOPLE)
     for name in generators:
-        if GENERATORS.is_own(name) and name != DEFAULT_GENERATOR:
-            own = PEOPLE if name == "people" else VEHICLES
+        known = GENERATORS.is_own(name) or name.startswith(tuple(GENERATORS.prefixes))
+        known = known or GENERATORS.place(name) is not None
+        if known and name != DEFAULT_GENERATOR:
+            own = PEOPLE if name == PEOPLE_GENERATOR else VEHICLES
             found = tuple(one for one in found if one in own)
     return found
+
+
+def require_made(generator: str, track: Track, where: str) -> None:
+    """Refuse a track that one of recast's own generators cannot make.
+
+    Args:
+        where: what the generator was given for, for the message.
+
+    Raises:
+        InputError: it is a person and the generator makes vehicles, or the other way round; a box
+            of a group, or of a bicycle without a rider; or "misc", such as a trailer.
+    """
+    category, makes = track.category, makeable([generator])
+    if not GENERATORS.is_own(generator):
+        return
+    if category not in makes and (category in (*PEOPLE, "misc") or "car" not in makes):
+        raise InputError(
+            where,
+            f"track {track.track_id}",
+            f"is {category}: {generator} makes {', '.join(makes)}",
+            "give `arm` native, and oracle on a synthetic log; or another `generator`",
+            "docs/scenarios.md#people",
+        )
+    if category in PEOPLE:
+        require_person(category, track.size, track.track_id)
 
 
 @dataclass(frozen=True)
@@ -75,6 +103,7 @@ def choose_completed(
         InputError: a track is not in the log, is of a category that is not made, or is seen too
             little.
     """
+    generators = tuple(generators)
     makes = makeable(generators)
     named = [word for word in words if word not in (ALL, NEAR)]
     for key in named:
@@ -97,6 +126,9 @@ def choose_completed(
     for key in wide:
         if whys[key] is None and key not in modelled:
             whys[key] = "the street has no model of it: it stands still, and is seen too little"
+    for key in _asked(log, words, (*VEHICLES, *PEOPLE)):
+        if key != target and (category := log.tracks[key].category) not in makes:
+            whys[key] = f"it is a {category}, which {', '.join(generators)} does not make"
     found = [key for key, why in whys.items() if why is None and key != target]
     return CompletedVehicles(
         tuple(found), tuple((key, why) for key, why in whys.items() if why is not None)

@@ -102,8 +102,8 @@ class RunConfig(Record):
     complete: tuple[str, ...] = Field(
         default=(),
         description=(
-            "vehicles beside the target that are made complete, too: all, near (within 30 m of the "
-            "recorded ego), or track ids"
+            "road users beside the target that are made complete, too: all, near (within 30 m of "
+            "the recorded ego), or track ids"
         ),
     )
     traffic: TrafficKind = Field(

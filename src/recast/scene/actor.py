@@ -381,7 +381,9 @@ def draw(
     """
     return rasterize(
         gaussians,
-        torch.as_tensor(camera_from_object).float(),
+        torch.as_tensor(np.array(camera_from_object)).float()
+        if isinstance(camera_from_object, np.ndarray)  # which may be read-only
+        else camera_from_object.float(),
         torch.from_numpy(camera.matrix).float(),
         camera.width,
         camera.height,

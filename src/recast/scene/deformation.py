@@ -309,7 +309,7 @@ class Gait:
                 raise ValueError(f"{where}.{name}: a value is not finite, or out of range")
         if not np.all(np.abs(np.linalg.norm(self.rotations, axis=2) - 1) < UNIT_TOLERANCE):
             raise ValueError(f"{where}.rotations: a quaternion is not of length 1")
-        if np.all(self.way == self.way[0]):
+        if np.linalg.norm(self.way - self.way[0], axis=1).max() < 1e-3:
             raise ValueError(f"{where}.way: all places are the same")
         if not 0.05 <= self.cycle <= 50 or not abs(self.phase) < LARGEST:
             raise ValueError(f"{where}.cycle: {self.cycle} m, phase {self.phase}")

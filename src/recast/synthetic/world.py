@@ -115,7 +115,7 @@ class Vehicle:
     def surface_at(self, pose: Array) -> Surface:
         """Triangles in the actor-local frame when it is at `pose` (4, 4) `world_from_actor`.
 
-        What is articulated has the shape of the place on its own way, see `Polyline.gone`.
+        What is articulated has the shape of the metres that it has gone, see `Polyline.gone`.
         """
         if self.model.articulation is None:
             return self.model.surface

@@ -107,3 +107,14 @@ def test_nobody_is_too_small_or_tall_for_a_bicycle() -> None:
     for height in (1.0, 1.3, 1.72, 2.1):
         poses = part_poses(PersonShape(height, bicycle=1.36, top=1.3), 0.4)
         assert np.isfinite(poses).all()
+
+
+@pytest.mark.parametrize("bicycle", [1.36, 1.75, 2.4])
+def test_hands_are_on_the_grips(bicycle: float) -> None:
+    for height in (1.5, 1.72, 1.9):
+        shape = PersonShape(height, bicycle=bicycle, top=1.68)
+        poses = part_poses(shape, 0.0)
+        for elbow in (6, 11):
+            end = se3.apply(poses[elbow], [[0.0, 0.0, -0.146 * height]])[0]
+            assert end[2] == pytest.approx(1.04, abs=0.08)
+            assert abs(end[1]) == pytest.approx(0.24, abs=0.06)

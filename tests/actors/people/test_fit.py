@@ -75,3 +75,13 @@ def test_a_mask_of_what_hides_a_person_is_not_trusted() -> None:
     assert fit.shape.height == pytest.approx(made_up.WALKER.height, rel=0.06)
     assert np.abs(fit.place).max() < 0.1
     assert box_from_body(made_up.BOX, fit.place)[2, 3] == -made_up.BOX[2] / 2
+
+
+def test_a_large_image_is_compared_smaller() -> None:
+    view = made_up.views(made_up.WALKER, made_up.BOX)[3]
+    small = view.shrunk(64)
+    assert small.mask.shape == (64, 48) == tuple(small.through.shape)
+    assert small.image.shape == small.back.shape == small.front.shape == (64, 48, 3)
+    assert small.camera.fx == pytest.approx(view.camera.fx / 2)
+    assert small.mask.mean() == pytest.approx(view.mask.mean(), abs=1e-3)
+    assert view.shrunk(128) is view

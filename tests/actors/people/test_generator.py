@@ -77,15 +77,18 @@ def asset() -> Asset:
     return PeopleGenerator().generate(observed(), 0)
 
 
-@pytest.fixture(scope="module")
-def actor(asset: Asset) -> Actor:
+def registered(asset: Asset, track: Track) -> Actor:
     rng = np.random.default_rng(0)
     points = rng.normal(0, [0.1, 0.15, 0.4], (60, 3)).astype(np.float32)
-    track = Track("7", "pedestrian", made_up.BOX, walk())
     log = DrivingLog("street", {}, {}, walk(), {"7": track})
     seen = observed()
     quality = replace(seen.mask_quality, lidar_inside=1.0)
     return register(asset, replace(seen, points=points, mask_quality=quality), log, track)
+
+
+@pytest.fixture(scope="module")
+def actor(asset: Asset) -> Actor:
+    return registered(asset, Track("7", "pedestrian", made_up.BOX, walk()))
 
 
 def test_one_crop_gives_a_whole_person(asset: Asset) -> None:
@@ -120,6 +123,8 @@ def test_auto_makes_people_of_people() -> None:
         ("pedestrian", (1.0, 2.1, 1.8), "of a group"),
         ("pedestrian", (2.4, 0.8, 1.8), "of a group"),
         ("pedestrian", (0.4, 0.4, 0.4), "nobody who walks"),
+        ("pedestrian", (1.0, 0.6, 3.9), "too high"),
+        ("cyclist", (2.0, 1.6, 1.8), "of a group"),
         ("cyclist", (1.7, 0.6, 1.1), "without a rider"),
     ],
 )
@@ -134,6 +139,7 @@ def test_what_is_no_person_is_told_in_one_line(
 
 def test_a_child_is_told() -> None:
     assert "child" in require_person("pedestrian", np.array([0.8, 0.4, 1.2]), "1")
+    assert "child" in require_person("cyclist", np.array([1.2, 0.5, 1.3]), "1")
     assert require_person("pedestrian", made_up.BOX, "1") == ""
 
 
@@ -148,12 +154,19 @@ def test_the_way_moves_the_limbs(actor: Actor) -> None:
     turned[:2, 3] = 2.0, 1.0 + actor.gait.cycle - 2.0
     assert turned[1, 3] > 0
     assert torch.allclose(actor.at(turned).means, actor.at(first).means, atol=0.02)
-    # Off its way, on a scenario's: by the metres ahead in the direction in which it looks.
-    aside = np.array(poses[0])
-    aside[:2, 3] = 0.4, 30.0
-    near = np.array(poses[0])
-    near[0, 3] = 0.4
-    assert torch.allclose(actor.at(aside).means, actor.at(near).means, atol=1e-6)
+    # Straight on beyond both ends; across by the metres beside the way.
+    beyond, before = np.array(poses[-1]), np.array(poses[0])
+    beyond[1, 3] += 3.0
+    before[0, 3] -= 2.0
+    gone = [actor.gait.phase_at(pose) * actor.gait.cycle for pose in (beyond, before)]
+    start = actor.gait.phase * actor.gait.cycle
+    assert gone == pytest.approx([start + 7.0, start - 2.0], abs=0.35)  # the corner is cut
+    across = [np.array(poses[0]) for _ in range(3)]
+    for pose, metres in zip(across, (-5.0, -4.0, -1.0), strict=True):
+        pose[:3, :3] = se3.rotation_z(np.pi / 2)
+        pose[:2, 3] = 0.5, metres
+    walked = np.diff([actor.gait.phase_at(pose) * actor.gait.cycle for pose in across])
+    assert walked == pytest.approx([1.0, 3.0])
     assert actor.gait.phase_at(poses[0]) == pytest.approx(actor.gait.phase)
 
 
@@ -187,10 +200,64 @@ def test_round_trip_and_broken_files(actor: Actor, tmp_path: Path) -> None:
     file.write_bytes(b"no tensors")
     with pytest.raises(InputError, match="gait"):
         load_actor(tmp_path / "actor")
-    # The person of another folder walks on another track's way.
+    file.unlink()
+    with pytest.raises(InputError, match="gait"):
+        load_actor(tmp_path / "actor")
+    # The person of another folder becomes as tall as the box, and stands on its floor.
     save_file(whole, file)
-    other = vehicle_generator(tmp_path / "actor").generate(observed(), 0)
-    assert other.gait is not None
+    small = replace(observed(), size=np.array([0.8, 0.5, 1.3]))
+    other = vehicle_generator(tmp_path / "actor").generate(small, 0)
+    assert other.gait is not None and other.gait.cycle < actor.gait.cycle
+    for phase in (0.0, 0.4):
+        means = other.gait.posed(other.gaussians, phase).means
+        assert float(means[:, 2].min()) == pytest.approx(-0.65, abs=0.03)
+        assert float(means[:, 2].max()) == pytest.approx(0.65, abs=0.06)
+
+
+def test_noise_of_who_stands_moves_no_leg(asset: Asset) -> None:
+    rng = np.random.default_rng(3)
+    poses = np.tile(np.eye(4), (40, 1, 1))
+    poses[:, :2, 3] = rng.normal(0, 0.03, (40, 2))
+    still = Trajectory(np.arange(40, dtype=np.int64) * 100_000, poses)
+    actor = registered(asset, Track("7", "pedestrian", made_up.BOX, still))
+    assert actor.gait is not None
+    phases = [actor.gait.phase_at(pose) for pose in poses]
+    assert np.ptp(phases) * actor.gait.cycle < 0.25
+
+
+def test_who_turns_on_the_spot_moves_no_leg_but_once_or_twice(actor: Actor) -> None:
+    assert actor.gait is not None
+    pose = np.array(walk().poses[3])
+    pose[1, 3] = 25.0
+    found = []
+    for turn in np.linspace(0, np.pi, 60):
+        pose[:3, :3] = se3.rotation_z(turn)
+        found.append(actor.gait.phase_at(pose))
+    assert np.count_nonzero(np.abs(np.diff(found)) > 1e-9) <= 2
+
+
+@pytest.mark.parametrize(
+    ("wrong", "said"),
+    [
+        ({"cycle": 0.0}, "cycle"),
+        ({"phase": float("nan")}, "phase"),
+        ({"weights": torch.ones(3, 12)}, "weights"),
+        ({"way": np.zeros((2, 2))}, "way"),
+    ],
+)
+def test_a_wrong_gait_of_a_users_generator_is_named(
+    asset: Asset, wrong: dict[str, object], said: str
+) -> None:
+    assert asset.gait is not None
+    bad = replace(asset, gait=replace(asset.gait, **wrong), generator="theirs")  # type: ignore[arg-type]
+    with pytest.raises(InputError, match=said) as caught:
+        registered(bad, Track("7", "pedestrian", made_up.BOX, walk()))
+    assert "generator theirs" in str(caught.value)
+
+
+def test_a_person_does_not_stand_for_a_car(asset: Asset) -> None:
+    with pytest.raises(InputError, match="is a person, and track 7 is of the category car"):
+        registered(asset, Track("7", "car", np.array([4.4, 1.8, 1.5]), walk()))
 
 
 def street(actor: Actor) -> StreetScene:

@@ -170,6 +170,7 @@ def _riding(shape: PersonShape, phase: float) -> Array:
     poses[_SPINE] = _pitch(-lean, hips)
     above = (_CROWN - _HEAD[2] - _SHOULDER) * size
     poses[_HEADPART, :3, 3] = shoulders + above * np.array([np.sin(0.6 * lean), 0, np.cos(lean)])
+    bar = _handlebar(shape, shoulders)
     for (sign, first), crank in zip(_SIDES, (turn, turn + np.pi), strict=True):
         aside = np.array([0.0, sign, 0.0])
         pedal = bottom + _CRANK_ARM * np.array([np.sin(crank), 0, np.cos(crank)])
@@ -179,11 +180,20 @@ def _riding(shape: PersonShape, phase: float) -> Array:
         poses[first], poses[first + 1] = _hanging(hip, knee), _hanging(knee, ankle)
         poses[first + 2, :3, 3] = ankle
         shoulder = shoulders + _SHOULDER_SIDE * size * aside
-        grip = np.array([front + _GRIP[0], sign * _GRIP[1], _GRIP[2] + 0.04])
+        grip = np.array([bar, sign * _GRIP[1], _GRIP[2] + 0.04])
         down = np.array([-0.2, 0.5 * sign, -1.0])
         elbow = _bent(shoulder, grip, _UPPER_ARM * size, _FOREARM * size, down)
         poses[first + 3], poses[first + 4] = _hanging(shoulder, elbow), _hanging(elbow, grip)
     return poses
+
+
+def _handlebar(shape: PersonShape, shoulders: Array) -> float:
+    """Metres ahead of the middle to the grips, as far as a rider's arms reach to them."""
+    down = shoulders[2] - _GRIP[2] - 0.04
+    across = _GRIP[1] - _SHOULDER_SIDE * shape.height
+    arm = 0.97 * (_UPPER_ARM + _FOREARM) * shape.height
+    reach = np.sqrt(max(arm**2 - down**2 - across**2, 0.0))
+    return float(min(shape.bicycle / 2 - WHEEL_RADIUS + _GRIP[0], shoulders[0] + reach))
 
 
 def _lean(shape: PersonShape, hips: float) -> float:
@@ -412,7 +422,9 @@ def _bicycle(shape: PersonShape, spacing: float) -> list[Piece]:
     rear, front, bottom = (rest[k, :3, 3] for k in (_REAR, _FRONT, _CRANK))
     seat = rest[_SPINE, :3, 3] - [0.0, 0.0, 0.09]
     below = seat - [0.0, 0.0, 0.1]
-    neck, grip = front - [0.16, 0.0, -0.52], np.array([front[0] + _GRIP[0], 0.0, _GRIP[2]])
+    shoulders = rest[_SPINE] @ [0.0, 0.0, _TRUNK * shape.height, 1.0]
+    neck = front - [0.16, 0.0, -0.52]
+    grip = np.array([_handlebar(shape, shoulders[:3]), 0.0, _GRIP[2]])
     under, reach = neck - [-0.03, 0.0, 0.14], np.array([0.0, _GRIP[1] + 0.06, 0.0])
     fine = _FINER * spacing
     bars = [(bottom, seat, 0.018), (bottom, under, 0.02), (below, neck, 0.018)]

@@ -32,6 +32,8 @@ _DISPLAY = {
 _NEIGHBOURS = 5
 _SMOOTH, _ALIKE = 3.0, 1.0  # weights of neighbours and of the other side beside the images
 _REGION_STEPS, _PATCH_STEPS = 60, 200
+DRESS_STEPS = _REGION_STEPS + _PATCH_STEPS
+"""Steps of the descent over colours."""
 _UNCLEAR = 0.1  # weight of a pixel that looks like the street
 _SEEN_PX = 0.7  # summed over the images, from which on a patch counts as seen
 

@@ -28,6 +28,8 @@ _COARSE = 0.045
 """Metres between patches where bodies are compared with images."""
 _STEPS_A_CYCLE = 24  # of phases that are tried
 _MOST_VIEWS, _FEW_VIEWS = 24, 10  # where phases and where builds are tried
+_RIDER, _RIDES_HIGH = 1.72, 1.6  # metres of a rider, and of its crown, below which it is smaller
+_MOST_PX = 192  # of the longer side of an image, where bodies are compared
 _NATURAL = 0.15  # deviation of the logarithm of a stride's length between people
 _HABIT = 0.05  # cost of a stride that is off by that deviation, in one image
 _LARGEST = np.array([0.18, 0.15, 0.07, 0.3, 0.12])  # see `_shaped`
@@ -62,8 +64,9 @@ def shape_in(size: Array, cyclist: bool) -> PersonShape:
     """The body that a box of `size` (3,) metres holds, before any look at it."""
     length, _, height = (float(side) for side in size)
     if cyclist:
+        rider = _RIDER * min(1.0, height / _RIDES_HIGH)
         return PersonShape(
-            1.72, bicycle=max(length, 4 * WHEEL_RADIUS), top=height, cycle=DEVELOPMENT
+            rider, bicycle=max(length, 4 * WHEEL_RADIUS), top=height, cycle=DEVELOPMENT
         )
     return PersonShape(1.01 * height, cycle=STRIDE * height)
 
@@ -115,7 +118,8 @@ def fit_person(
     Returns:
         The body, and the views with the masks that it was fitted to.
     """
-    few = list(views[:: max(1, -(-len(views) // _MOST_VIEWS))])
+    every = max(1, -(-len(views) // _MOST_VIEWS))
+    few = [view.shrunk(_MOST_PX) for view in views[::every]]
     start = shape_in(size, cyclist)
     first = _timed(few, size, PersonFit(start, np.zeros(2), 0.0, np.inf))
     found = []

@@ -13,6 +13,7 @@ import torch
 from recast.actors.actor import Actor, Refinement
 from recast.actors.evidence import Evidence
 from recast.actors.insert import shadow_below
+from recast.actors.people.clothes import DRESS_STEPS
 from recast.actors.people.fit import fit_person
 from recast.actors.people.generator import details_of, dressed
 from recast.actors.people.views import PersonView
@@ -80,7 +81,7 @@ def follow_person(
         loss_bent=after,
         loss_after=after,
         kept=after < before,
-        steps=1,
+        steps=DRESS_STEPS,
         moved=(float(fit.place[0]), float(fit.place[1]), 0.0),
         seen=float(body.shares.seen.mean()),
         mirrored=float(body.shares.mirrored.mean()),

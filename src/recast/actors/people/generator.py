@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from recast.actors.actor import Shares
-from recast.actors.generate import VEHICLE, Asset, BaseGenerator
+from recast.actors.generate import PEOPLE_GENERATOR, VEHICLE, Asset, BaseGenerator
 from recast.actors.observation import Observation
 from recast.actors.people.body import surface_of
 from recast.actors.people.clothes import dress
@@ -22,8 +22,8 @@ from recast.splats import MIP, Gaussians
 
 SPACING = 0.02
 """Metres between the patches of a body."""
-_WIDEST, _LONGEST = 1.3, 1.9
-"""Metres of a pedestrian's box: longer steps and wider bodies are those of several people."""
+_WIDEST, _LONGEST, _TALLEST = 1.3, {"pedestrian": 1.9, "cyclist": 2.5}, 2.4
+"""Metres of a box: longer steps or bicycles and wider bodies are those of several people."""
 _CHILD = 1.45
 """Metres: smaller people have larger heads and shorter legs than the body."""
 _RIDER = 1.25
@@ -38,7 +38,7 @@ class PeopleGenerator(BaseGenerator):
     height, until all images of the log are followed (`follow_person`).
     """
 
-    name = "people"
+    name = PEOPLE_GENERATOR
 
     def generate(self, observation: Observation, seed: int) -> Asset:
         """The body of the crop.
@@ -80,12 +80,14 @@ def require_person(category: str, size: Array, track_id: str) -> str:
 
     if category not in PEOPLE:
         raise refused("is no pedestrian or cyclist", "choose another `generator`")
-    if category == "pedestrian" and (width > _WIDEST or length > _LONGEST):
+    if width > _WIDEST or length > _LONGEST[category]:
         raise refused(f"has a box of {box}: of a group?", "leave it reconstructed (arm native)")
+    if height > _TALLEST:
+        raise refused(f"has a box of {box}: too high", "leave it reconstructed (arm native)")
     if height < (_RIDER if category == "cyclist" else _LEAST):
         what = "a bicycle without a rider" if category == "cyclist" else "nobody who walks"
         raise refused(f"has a box of {box}: {what}?", "leave it reconstructed (arm native)")
-    if category == "pedestrian" and height < _CHILD:
+    if height < _CHILD:
         return "a child by its height: the body has the proportions of adults"
     return ""
 
@@ -117,5 +119,5 @@ def details_of(fit: PersonFit) -> dict[str, str | float | int]:
         "girth": round(shape.girth, 3),
         "pack": "yes" if shape.pack else "no",
         "cycle_m": round(shape.cycle, 3),
-        "outline_differs": round(fit.cost, 3),
+        "differs": round(fit.cost, 3),
     }

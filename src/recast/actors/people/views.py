@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
+import cv2
 import numpy as np
 import torch
 from torch import Tensor
@@ -53,17 +54,16 @@ class PersonView:
         """
         rgba = torch.from_numpy(observation.rgba.copy()).float() / 255
         image, mask = rgba[..., :3].contiguous(), rgba[..., 3].numpy()
-        nothing, all_ = torch.zeros_like(image), torch.ones(image.shape[:2])
-        layers = image, nothing, all_
-        pose = np.array(observation.camera_from_object)
         return cls(
-            observation.camera,
-            pose,
-            image,
-            *layers,
-            mask,
-            np.ones_like(mask),
-            np.ones_like(mask),
+            camera=observation.camera,
+            camera_from_object=np.array(observation.camera_from_object),
+            image=image,
+            back=image,
+            front=torch.zeros_like(image),
+            through=torch.ones(image.shape[:2]),
+            mask=mask,
+            trust=np.ones_like(mask),
+            apart=np.ones_like(mask),
             weight=1.0,
             gone=0.0,
         )
@@ -77,17 +77,43 @@ class PersonView:
         alone = layers.front + layers.through[..., None] * back
         apart = ((alone - layers.target).abs().amax(dim=-1) / _APART).clamp(0, 1)
         return cls(
-            sighting.camera,
-            sighting.camera_from_object,
-            layers.target,
-            back,
-            layers.front,
-            layers.through,
-            sighting.mask,
-            sighting.trust * usable,
-            apart.numpy(),
-            sighting.weight,
-            way.gone(se2.from_se3(sighting.world_from_object)),
+            camera=sighting.camera,
+            camera_from_object=sighting.camera_from_object,
+            image=layers.target,
+            back=back,
+            front=layers.front,
+            through=layers.through,
+            mask=sighting.mask,
+            trust=sighting.trust * usable,
+            apart=apart.numpy(),
+            weight=sighting.weight,
+            gone=way.gone(se2.from_se3(sighting.world_from_object)),
+        )
+
+    def shrunk(self, most: int) -> PersonView:
+        """The view with at most so many pixels on its longer side."""
+        height, width = self.mask.shape
+        share = most / max(height, width)
+        if share >= 1:
+            return self
+        size = max(1, round(share * width)), max(1, round(share * height))
+
+        def small(values: Array | Float32Array) -> Float32Array:
+            return np.asarray(cv2.resize(values, size, interpolation=cv2.INTER_AREA), np.float32)
+
+        def tensor(values: Tensor) -> Tensor:
+            return torch.from_numpy(small(values.numpy()))
+
+        return replace(
+            self,
+            camera=self.camera.resized(*size),
+            image=tensor(self.image),
+            back=tensor(self.back),
+            front=tensor(self.front),
+            through=tensor(self.through),
+            mask=small(self.mask),
+            trust=small(self.trust),
+            apart=small(self.apart),
         )
 
     @property
