@@ -13,7 +13,7 @@ from torch import Tensor
 
 from recast.actors.generate import PEOPLE_GENERATOR, Asset
 from recast.actors.icp import Fit
-from recast.actors.observation import MaskQuality, Observation, warnings_of
+from recast.actors.observation import MaskQuality, Observation
 from recast.arrays import Array
 from recast.cameras import PinholeCamera, box_rectangle
 from recast.core.brief import Brief
@@ -21,7 +21,6 @@ from recast.core.records import Record
 from recast.geometry import se3
 from recast.logs import Trajectory
 from recast.logs.checks import BOX_SIDE
-from recast.logs.types import PEOPLE
 from recast.scene import StreetScene
 from recast.scene.actor import BLACK, DrawnActor, painted, painted_actor
 from recast.scene.deformation import Gait
@@ -293,22 +292,21 @@ class RegistrationReport(Record):
             brighter = "left" if self.left_over_right > 1 else "right"
             faults.append(f"{brighter} side {ratio:.1f} times as bright: light may be baked in")
         sides = ", ".join(f"{side} {count}" for side, count in self.lidar_by_side.items())
-        votes = ", ".join(f"{kind} {vote:+.1f}" for kind, vote in self.front.votes.items())
-        turned = "turned by 180 degrees" if self.front.flipped else "kept"
-        ended = "converged" if self.icp_converged else "stopped"
-        first = [
-            f"scale {self.initial_scale:.3f} from the length; fills {self.width_over_box:.2f} "
-            f"of the box's width, {self.height_over_box:.2f} of its height",
-            f"front {turned} ({votes})",
-        ]
-        last = (
-            f"ICP {ended} after {self.icp_iterations} steps: scale {self.icp_scale:.3f}, yaw "
-            f"{np.degrees(self.icp_yaw):.1f} degrees"
-        )
         if self.icp_iterations == 0:  # a person
-            first, last = (
-                [],
-                f"placed by its box, of whose height it fills {self.height_over_box:.2f}",
+            first = []
+            last = f"placed by its box, of whose height it fills {self.height_over_box:.2f}"
+        else:
+            votes = ", ".join(f"{kind} {vote:+.1f}" for kind, vote in self.front.votes.items())
+            turned = "turned by 180 degrees" if self.front.flipped else "kept"
+            ended = "converged" if self.icp_converged else "stopped"
+            first = [
+                f"scale {self.initial_scale:.3f} from the length; fills {self.width_over_box:.2f} "
+                f"of the box's width, {self.height_over_box:.2f} of its height",
+                f"front {turned} ({votes})",
+            ]
+            last = (
+                f"ICP {ended} after {self.icp_iterations} steps: scale {self.icp_scale:.3f}, yaw "
+                f"{np.degrees(self.icp_yaw):.1f} degrees"
             )
         return "\n".join(
             [
@@ -472,8 +470,8 @@ class Provenance(SourceView):
     def warnings(self) -> tuple[str, ...]:
         """What a person should look at: the mask, and what the generator doubts."""
         doubts = str(self.details.get("doubts", ""))
-        kind = PEOPLE[0] if self.generator == PEOPLE_GENERATOR else ""
-        return (*warnings_of(kind, self.mask), *filter(None, doubts.split("; ")))
+        complaints = self.mask.warnings(self.generator == PEOPLE_GENERATOR)
+        return (*complaints, *filter(None, doubts.split("; ")))
 
     @staticmethod
     def of(asset: Asset, observation: Observation, report: RegistrationReport) -> Provenance:

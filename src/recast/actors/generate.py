@@ -343,8 +343,8 @@ class Asset:
         low_pass: filter that the Gaussians were made for.
         finish: makes the asset itself where this is a sketch of it, coarse but of the same shape
             and colours, to be compared with other candidates; None if this is the asset.
-        gait: of a person, in metres in the frame of the box, on no way yet, and with the phase of
-            the image it was made from; None for a vehicle.
+        gait: gait of a person, in metres in the frame of the box, on no way yet, with the phase
+            of the image that it was made from; None for a vehicle.
     """
 
     gaussians: Gaussians

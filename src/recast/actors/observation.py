@@ -252,8 +252,7 @@ def _turn(first: ViewScore, second: ViewScore) -> float:
 SIDES = {"front": (0, 1), "rear": (0, -1), "left": (1, 1), "right": (1, -1), "top": (2, 1)}
 """Axis and sign of the way out of a box through each of its sides."""
 _COVERAGE = (0.45, 0.97)  # shares of the projected box that the mask of a vehicle fills
-_LEAST_OF_PEOPLE = 0.1
-_FILLS = "mask fills"
+_COVERAGE_OF_LIMBS = (0.1, 1.0)
 _LIDAR_SHARE = 0.85  # of the LiDAR points, that a good mask puts on the right side
 
 
@@ -352,11 +351,16 @@ class MaskQuality:
         shares = self.lidar_inside, self.lidar_outside
         return _COVERAGE[0] <= self.box_coverage <= _COVERAGE[1] and min(shares) >= _LIDAR_SHARE
 
-    def warnings(self) -> tuple[str, ...]:
-        """What a person should look at, empty for a mask without complaint."""
+    def warnings(self, limbs: bool = False) -> tuple[str, ...]:
+        """What a person should look at, empty for a mask without complaint.
+
+        Args:
+            limbs: whether it is the mask of a pedestrian or cyclist, which fills little of a box.
+        """
         found = []
-        if not _COVERAGE[0] <= self.box_coverage <= _COVERAGE[1]:
-            found.append(f"{_FILLS} {self.box_coverage:.0%} of the projected box")
+        least, most = _COVERAGE_OF_LIMBS if limbs else _COVERAGE
+        if not least <= self.box_coverage <= most:
+            found.append(f"mask fills {self.box_coverage:.0%} of the projected box")
         if self.border_contact > 0.02:
             found.append(f"mask touches {self.border_contact:.0%} of the crop's border")
         if self.lidar_inside < _LIDAR_SHARE:
@@ -369,14 +373,6 @@ class MaskQuality:
                 "mask"
             )
         return (*found, *self.doubts)
-
-
-def warnings_of(category: str, quality: MaskQuality) -> tuple[str, ...]:
-    """What a person should look at: limbs fill little of a box, so that says nothing of people."""
-    told = quality.warnings()
-    if category in PEOPLE and quality.box_coverage > _LEAST_OF_PEOPLE:
-        return tuple(line for line in told if not line.startswith(_FILLS))
-    return told
 
 
 @dataclass(frozen=True)
@@ -444,5 +440,6 @@ class Observation:
             f"further view: {one.view.explain()}, azimuth {np.degrees(one.azimuth):.0f} degrees"
             for one in self.further
         ]
-        lines += [f"warning: {text}" for text in warnings_of(self.category, self.mask_quality)]
+        complaints = self.mask_quality.warnings(self.category in PEOPLE)
+        lines += [f"warning: {text}" for text in complaints]
         return "\n".join(lines)

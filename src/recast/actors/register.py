@@ -185,8 +185,8 @@ def _as_person(
     time = observation.view.timestamp_us
     gait = replace(asset.gait, way=_way(trajectory))
     if trajectory.covers(time):
-        gone = gait.phase_at(trajectory.at(time)) - gait.phase
-        gait = replace(gait, phase=float(gait.phase - gone))
+        gone = gait.gone_at(trajectory.at(time))
+        gait = replace(gait, phase=float(gait.phase - gone / gait.cycle))
     fit = fit_of(surface.points, lidar)
     sides = high - low
     report = RegistrationReport(

@@ -265,13 +265,8 @@ class BoxLidarSegmenter:
         apron = target.object_points[(share > _APRON[0]) & (share < _APRON[1])]
         core |= _dense(_lidar_pixels(target, apron), outline.shape, extent)
         trimap[core & outline] = cv2.GC_FGD
-        pixels, depth = project_points(target.camera, target.other_points)
-        inside = (depth > 0.5) & np.all((pixels >= 0) & (pixels < [width, height]), axis=1)
-        u, v = pixels[inside].astype(int).T
-        behind = np.zeros((height, width), np.uint8)
-        behind[v, u] = 1
         cross = cv2.getStructuringElement(cv2.MORPH_CROSS, (3, 3))
-        trimap[(cv2.dilate(behind, cross) > 0) & ~core] = cv2.GC_BGD
+        trimap[(cv2.dilate(_behind(target), cross) > 0) & ~core] = cv2.GC_BGD
         return trimap
 
 
@@ -285,17 +280,10 @@ def person_trimap(target: SegmentationTarget) -> NDArray[np.uint8]:
     for low, high in (_TRUNK, _HEAD[target.category]):
         core |= project_box(target, np.array(low) * half, np.array(high) * half)
     trimap = np.where(outline, cv2.GC_PR_BGD, cv2.GC_BGD).astype(np.uint8)
-    near = np.zeros(outline.shape, np.uint8)
-    pixels = _lidar_pixels(target, target.object_points)
-    height, width = outline.shape
-    pixels = pixels[np.all((pixels >= 0) & (pixels < [width, height]), axis=1)].astype(int)
-    near[pixels[:, 1], pixels[:, 0]] = 1
+    near = _marked(_lidar_pixels(target, target.object_points), outline.shape)
     around = cv2.dilate(near, disc(_LIMB * shorter_side(outline))) > 0
-    trimap[outline & body & (around | (len(pixels) == 0))] = cv2.GC_PR_FGD
-    pixels, depth = project_points(target.camera, target.other_points)
-    inside = (depth > 0.5) & np.all((pixels >= 0) & (pixels < [width, height]), axis=1)
-    u, v = pixels[inside].astype(int).T
-    trimap[v, u] = cv2.GC_BGD
+    trimap[outline & body & (around | (not near.any()))] = cv2.GC_PR_FGD
+    trimap[_behind(target) > 0] = cv2.GC_BGD
     trimap[core & outline] = cv2.GC_FGD
     return trimap
 
@@ -340,12 +328,23 @@ def _lidar_pixels(target: SegmentationTarget, object_points: Array) -> Array:
     return pixels[enough]
 
 
-def _dense(pixels: Array, shape: tuple[int, ...], extent: float) -> Mask:
-    """Where points (N, 2) lie closer than `_GAP` of the vehicle's extent, a little shrunk."""
-    hit = np.zeros(shape, np.uint8)
+def _behind(target: SegmentationTarget) -> NDArray[np.uint8]:
+    """(H, W) 1 where LiDAR points of the scene are seen."""
+    pixels, depth = project_points(target.camera, target.other_points)
+    return _marked(pixels[depth > 0.5], target.image.shape[:2])
+
+
+def _marked(pixels: Array, shape: tuple[int, ...]) -> NDArray[np.uint8]:
+    """A picture (H, W) of zeros with 1 at pixels (N, 2), as far as they lie in it."""
+    marked = np.zeros(shape, np.uint8)
     inside = np.all((pixels >= 0) & (pixels < [shape[1], shape[0]]), axis=1)
     u, v = pixels[inside].astype(int).T
-    hit[v, u] = 1
-    closed = cv2.morphologyEx(hit, cv2.MORPH_CLOSE, disc(_GAP * extent))
+    marked[v, u] = 1
+    return marked
+
+
+def _dense(pixels: Array, shape: tuple[int, ...], extent: float) -> Mask:
+    """Where points (N, 2) lie closer than `_GAP` of the vehicle's extent, a little shrunk."""
+    closed = cv2.morphologyEx(_marked(pixels, shape), cv2.MORPH_CLOSE, disc(_GAP * extent))
     across, up = (2 * max(round(share * extent), 1) + 1 for share in _SHRINK)
     return cv2.erode(closed, np.ones((up, across), np.uint8)) > 0

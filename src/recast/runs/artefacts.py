@@ -270,10 +270,10 @@ class Artefacts:
         config, words = self.config, self.config.complete
         if not words:
             return CompletedVehicles()
-        if not any(arm.generates for arm in self.arms.values()):
+        generators = [str(arm.generator) for arm in self.arms.values() if arm.generates]
+        if not generators:
             problem, mend = "is given, but no arm makes vehicles", "give an `arm` such as replaced"
             raise InputError("`complete`", ", ".join(words), problem, mend)
-        generators = [str(arm.generator) for arm in self.arms.values() if arm.generates]
         return choose_completed(self.source.log, config.track, words, config.scene, generators)
 
     def rollout(

@@ -47,9 +47,9 @@ def require_made(generator: str, track: Track, where: str) -> None:
         InputError: it is a person and the generator makes vehicles, or the other way round; a box
             of a group, or of a bicycle without a rider; or "misc", such as a trailer.
     """
-    category, makes = track.category, makeable([generator])
     if not GENERATORS.is_own(generator):
         return
+    category, makes = track.category, makeable([generator])
     if category not in makes and (category in (*PEOPLE, "misc") or "car" not in makes):
         raise InputError(
             where,
@@ -116,7 +116,8 @@ def choose_completed(
             mend = f"name tracks of the categories {', '.join(makes)}"
             raise InputError("`complete`", f"track {key}", problem, mend)
     named = list(dict.fromkeys(named))
-    wide = [key for key in _asked(log, words, makes) if key not in (*named, target)]
+    asked = [key for key in _asked(log, words) if key not in (*named, target)]
+    wide = [key for key in asked if log.tracks[key].category in makes]
     points = all_track_points(log, {key: log.tracks[key] for key in (*named, *wide)})
     whys = {key: _why_not(log, key, len(own.points), config) for key, own in points.items()}
     for key in named:
@@ -126,8 +127,8 @@ def choose_completed(
     for key in wide:
         if whys[key] is None and key not in modelled:
             whys[key] = "the street has no model of it: it stands still, and is seen too little"
-    for key in _asked(log, words, (*VEHICLES, *PEOPLE)):
-        if key != target and (category := log.tracks[key].category) not in makes:
+    for key in asked:
+        if (category := log.tracks[key].category) not in makes:
             whys[key] = f"it is a {category}, which {', '.join(generators)} does not make"
     found = [key for key, why in whys.items() if why is None and key != target]
     return CompletedVehicles(
@@ -145,9 +146,9 @@ def _why_not(log: DrivingLog, key: str, points: int, config: SceneConfig) -> str
     return why_not_seen(log, key, points, config)
 
 
-def _asked(log: DrivingLog, words: Sequence[str], makes: Sequence[str]) -> list[str]:
+def _asked(log: DrivingLog, words: Sequence[str]) -> list[str]:
     """Road users that "all" or "near" stand for, in the order of the log."""
-    found = [key for key, track in log.tracks.items() if track.category in makes]
+    found = [key for key, track in log.tracks.items() if track.category in (*VEHICLES, *PEOPLE)]
     if ALL in words:
         return found
     return [key for key in found if NEAR in words and _distance(log, key) <= _NEAR]

@@ -374,7 +374,7 @@ def facts(config: RunConfig, log: DrivingLog) -> tuple[Fact, ...]:
 
 
 def _others(config: RunConfig, log: DrivingLog) -> list[Fact]:
-    """Vehicles beside the target, and traffic; nothing where the run asks for neither."""
+    """Road users beside the target, and traffic; nothing where the run asks for neither."""
     found = []
     generators = [str(arm.generator) for arm in config.arms if arm.generates]
     if config.complete and generators:

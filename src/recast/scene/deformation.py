@@ -330,8 +330,16 @@ class Gait:
         return skinned(gaussians, self.weights, moved, turns)
 
     def phase_at(self, pose: Array) -> float:
-        """Phase in cycles at a pose (4, 4) `world_from_actor`; see `Polyline.gone`."""
-        return self.phase + self._line.gone(from_se3(pose)) / self.cycle
+        """Phase in cycles at a pose (4, 4) `world_from_actor`."""
+        return self.phase_after(self.gone_at(pose))
+
+    def phase_after(self, gone: float) -> float:
+        """Phase in cycles after so many metres of the way."""
+        return self.phase + gone / self.cycle
+
+    def gone_at(self, pose: Array) -> float:
+        """Metres of the way at a pose (4, 4) `world_from_actor`; see `Polyline.gone`."""
+        return self._line.gone(from_se3(pose))
 
     @cached_property
     def _line(self) -> Polyline:

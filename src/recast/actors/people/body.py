@@ -24,7 +24,7 @@ from recast.geometry import se3
 PHASES = 48
 """Phases at which a gait is worked out; between them it is interpolated."""
 WHEEL_RADIUS = 0.34
-"""Of an adult's bicycle with tyres, metres (ISO 622)."""
+"""Radius of the wheels of an adult's bicycle with tyres, metres (ISO 622)."""
 STRIDE = 0.8
 """Metres of two steps, over the height, at a natural speed."""
 DEVELOPMENT = 5.2
@@ -238,7 +238,7 @@ def surface_of(shape: PersonShape, spacing: float) -> BodySurface:
     for sign, first in _SIDES:
         pieces += [limb._replace(part=first + limb.part, sign=float(sign)) for limb in limbs]
     if shape.bicycle:
-        pieces += _bicycle(shape, spacing)
+        pieces += _bicycle(shape, rest, spacing)
     counts = [len(piece.points) for piece in pieces]
     numbers = np.repeat(np.arange(len(pieces)), counts)
     places, normals, weights = [], [], []
@@ -416,9 +416,8 @@ def _tube(start: ArrayLike, end: ArrayLike, radius: float, spacing: float) -> tu
     return se3.apply(pose, points), normals @ pose[:3, :3].T
 
 
-def _bicycle(shape: PersonShape, spacing: float) -> list[Piece]:
-    """Frame, wheels and cranks."""
-    rest = part_poses(shape, 0.0)
+def _bicycle(shape: PersonShape, rest: Array, spacing: float) -> list[Piece]:
+    """Frame, wheels and cranks, by the poses (J, 4, 4) of the first phase."""
     rear, front, bottom = (rest[k, :3, 3] for k in (_REAR, _FRONT, _CRANK))
     seat = rest[_SPINE, :3, 3] - [0.0, 0.0, 0.09]
     below = seat - [0.0, 0.0, 0.1]

@@ -77,13 +77,13 @@ class _Drawn:
     def __init__(
         self, shape: PersonShape, size: Array, place: Array, colours: Tensor | None = None
     ) -> None:
-        self.surface, self._cycle, self._coloured = surface_of(shape, _COARSE), shape.cycle, False
+        self.surface, self._cycle = surface_of(shape, _COARSE), shape.cycle
+        self._weight = 0.0 if colours is None else _COLOUR
         pose = box_from_body(size, place)
         white = np.ones((len(self.surface.points), 3))
         self.gaussians = gaussians_of(self.surface, pose, white)
         self._gait = gait_of(self.surface, pose, shape.cycle, 0.0, NOWHERE)
         if colours is not None:
-            self._coloured = True
             sh = (colours[torch.from_numpy(self.surface.region)][:, None] - 0.5) / C0
             self.gaussians = replace(self.gaussians, sh=sh)
 
@@ -100,7 +100,7 @@ class _Drawn:
         """How much a view differs."""
         with torch.no_grad():
             outline, colour = view.differs(*view.drawn(self.at(view, phase)))
-        return outline + (_COLOUR * colour if self._coloured else 0.0)
+        return outline + self._weight * colour
 
 
 def fit_person(
@@ -122,10 +122,10 @@ def fit_person(
     few = [view.shrunk(_MOST_PX) for view in views[::every]]
     start = shape_in(size, cyclist)
     first = _timed(few, size, PersonFit(start, np.zeros(2), 0.0, np.inf))
-    found = []
+    found, usual = [], np.zeros(len(_LARGEST))
     for pack in (False,) if cyclist else (False, True):
         fit = replace(first, shape=replace(first.shape, pack=pack))
-        found.append(_turn(few, size, replace(start, pack=pack), fit, None))
+        found.append(_turn(few, size, replace(start, pack=pack), fit, None, usual))
     fit, used, build = min(found, key=lambda one: one[0].cost + _PACK * one[0].shape.pack)
     for turn in range(1, _TURNS):
         if progress is not None:
@@ -144,12 +144,11 @@ def _turn(
     start: PersonShape,
     fit: PersonFit,
     colours: Tensor | None,
-    build: Array | None = None,
+    build: Array,
 ) -> tuple[PersonFit, list[PersonView], Array]:
     """Masks about a body, its phases, its build, and the phases again."""
     used = _outlined(views, size, fit)
     fit = _timed(used, size, fit, colours)
-    build = np.zeros(len(_LARGEST)) if build is None else build
     build, fit = _built(
         used, size, replace(start, cycle=fit.shape.cycle), fit.phase, build, colours
     )

@@ -1,24 +1,34 @@
-"""The generator of people: a body from one crop."""
+"""The generator of people: a body from one crop, and as all images of the log show it."""
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
+import torch
 
-from recast.actors.actor import Shares
+from recast.actors.actor import Actor, Refinement, Shares
+from recast.actors.evidence import Evidence
 from recast.actors.generate import PEOPLE_GENERATOR, VEHICLE, Asset, BaseGenerator
+from recast.actors.insert import shadow_below
 from recast.actors.observation import Observation
 from recast.actors.people.body import surface_of
-from recast.actors.people.clothes import dress
+from recast.actors.people.clothes import DRESS_STEPS, dress
 from recast.actors.people.fit import PersonFit, fit_person
 from recast.actors.people.views import NOWHERE, PersonView, box_from_body, gait_of, gaussians_of
 from recast.arrays import Array
+from recast.core.diagnostics import Progress
 from recast.core.errors import InputError
+from recast.logs import Trajectory
 from recast.logs.types import PEOPLE
 from recast.scene.deformation import Gait
 from recast.splats import MIP, Gaussians
+
+if TYPE_CHECKING:
+    from recast.actors.refine.images import Layers
 
 SPACING = 0.02
 """Metres between the patches of a body."""
@@ -29,6 +39,7 @@ _CHILD = 1.45
 _RIDER = 1.25
 """Metres: what is lower is a bicycle without a rider."""
 _LEAST = 0.6
+_HOLD_BACK = 4  # of a person there are fewer images than of a vehicle
 
 
 class PeopleGenerator(BaseGenerator):
@@ -66,7 +77,7 @@ def require_person(category: str, size: Array, track_id: str) -> str:
     """What a person should look at, "" for nothing.
 
     Args:
-        category: of the track.
+        category: category of the track.
         size: (3,) box, metres.
 
     Raises:
@@ -81,7 +92,9 @@ def require_person(category: str, size: Array, track_id: str) -> str:
     if category not in PEOPLE:
         raise refused("is no pedestrian or cyclist", "choose another `generator`")
     if width > _WIDEST or length > _LONGEST[category]:
-        raise refused(f"has a box of {box}: of a group?", "leave it reconstructed (arm native)")
+        raise refused(
+            f"has a box of {box}: the box of a group?", "leave it reconstructed (arm native)"
+        )
     if height > _TALLEST:
         raise refused(f"has a box of {box}: too high", "leave it reconstructed (arm native)")
     if height < (_RIDER if category == "cyclist" else _LEAST):
@@ -106,7 +119,7 @@ def dressed(fit: PersonFit, size: Array, views: Sequence[PersonView]) -> Dressed
     surface, pose = surface_of(fit.shape, SPACING), box_from_body(size, fit.place)
     body = gaussians_of(surface, pose, np.full((len(surface.points), 3), 0.5))
     gait = gait_of(surface, pose, fit.shape.cycle, fit.phase, NOWHERE)
-    posed = [gait.posed(body, fit.phase + view.gone / gait.cycle) for view in views]
+    posed = [gait.posed(body, gait.phase_after(view.gone)) for view in views]
     clothes = dress(surface, posed, views)
     return DressedPerson(gaussians_of(surface, pose, clothes.colours), gait, clothes.shares)
 
@@ -121,3 +134,77 @@ def details_of(fit: PersonFit) -> dict[str, str | float | int]:
         "cycle_m": round(shape.cycle, 3),
         "differs": round(fit.cost, 3),
     }
+
+
+def follow_person(
+    actor: Actor,
+    evidence: Evidence,
+    layers: Sequence[Layers],
+    trajectory: Trajectory,
+    progress: Progress | None = None,
+) -> Actor:
+    """The person as all images of the log show it, unless it was better before.
+
+    Build, place, length of the steps and their phase are fitted to masks and images between the
+    street's layers, the clothes to the images. Every fourth image judges.
+
+    Args:
+        actor: registered person.
+        evidence: evidence of its track, with the poses of the scene.
+        layers: its images between the layers of the street.
+        trajectory: the track's poses in the scene.
+        progress: called with the number of parts done, and of all.
+    """
+    assert actor.gait is not None
+    size = np.asarray(actor.size, np.float64)
+    views = [PersonView.of_layers(one, actor.gait) for one in layers]
+    held = range(_HOLD_BACK // 2, len(views), _HOLD_BACK)
+    kept = [view for number, view in enumerate(views) if number not in held]
+
+    def told(done: int, parts: int) -> None:
+        if progress is not None:
+            progress(done, parts + 1)
+
+    fit, cut = fit_person(kept, size, actor.category == "cyclist", told)
+    body = dressed(fit, size, cut)
+    found = replace(
+        actor,
+        gaussians=body.gaussians,
+        gait=replace(body.gait, way=actor.gait.way),
+        shares=body.shares,
+        trajectory=trajectory,
+        shadow=shadow_below(body.gaussians, size),
+        low_pass=MIP,
+    )
+    if progress is not None:
+        progress(1, 1)
+    judges = [views[number] for number in held]
+    before, after = _judged(actor, judges), _judged(found, judges)
+    report = Refinement(
+        images=len(kept),
+        held_back=len(judges),
+        left_out=dict(Counter(evidence.left_out)),
+        loss_before=before,
+        loss_bent=after,
+        loss_after=after,
+        kept=after < before,
+        steps=DRESS_STEPS,
+        moved=(float(fit.place[0]), float(fit.place[1]), 0.0),
+        seen=float(body.shares.seen.mean()),
+        mirrored=float(body.shares.mirrored.mean()),
+    )
+    details = {**actor.provenance.details, **(details_of(fit) if report.kept else {})}
+    update = {"refinement": report, "details": details}
+    provenance = actor.provenance.model_copy(update=update)
+    return replace(found if report.kept else actor, provenance=provenance)
+
+
+def _judged(actor: Actor, views: Sequence[PersonView]) -> float:
+    """Mean difference of display values from images, as a share of the masks' areas."""
+    assert actor.gait is not None
+    losses = []
+    for view in views:
+        posed = actor.gait.posed(actor.gaussians, actor.gait.phase_after(view.gone))
+        with torch.no_grad():
+            losses.append(view.differs(*view.drawn(posed))[1])
+    return float(np.average(losses, weights=[view.weight for view in views]))

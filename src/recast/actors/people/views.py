@@ -15,7 +15,7 @@ from recast.actors.people.body import BodySurface
 from recast.actors.template.cloud import flat_gaussians
 from recast.arrays import Array, Float32Array
 from recast.cameras import PinholeCamera
-from recast.geometry import Polyline, se2, se3
+from recast.geometry import se3
 from recast.scene.actor import draw
 from recast.scene.deformation import Gait
 from recast.splats import MIP, Gaussians
@@ -69,8 +69,8 @@ class PersonView:
         )
 
     @classmethod
-    def of_layers(cls, layers: Layers, way: Polyline) -> PersonView:
-        """One image of the evidence."""
+    def of_layers(cls, layers: Layers, gait: Gait) -> PersonView:
+        """One image of the evidence of somebody with a gait."""
         sighting = layers.sighting
         usable = (layers.through > 0.5).numpy()
         back = layers.street * (1 - layers.shade)[..., None]
@@ -87,7 +87,7 @@ class PersonView:
             trust=sighting.trust * usable,
             apart=apart.numpy(),
             weight=sighting.weight,
-            gone=way.gone(se2.from_se3(sighting.world_from_object)),
+            gone=gait.gone_at(sighting.world_from_object),
         )
 
     def shrunk(self, most: int) -> PersonView:

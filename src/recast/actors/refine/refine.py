@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from recast.actors.actor import Actor, Refinement, triple
 from recast.actors.evidence import Evidence
-from recast.actors.people.follow import follow_person
+from recast.actors.people.generator import follow_person
 from recast.actors.refine.descent import (
     FIELDS,
     Bend,
