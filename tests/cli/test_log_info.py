@@ -103,18 +103,20 @@ def _track(name: str, category: str = "car", points: int = 100, frames: int = 10
 def test_what_can_be_replaced_comes_before_what_cannot() -> None:
     tracks = [
         _track("walker", "pedestrian", 10**6, 500),
+        _track("trailer", "trailer", 10**6, 500),
         _track("unseen", points=10**6, frames=0),
         _track("far", points=FEWEST_POINTS - 1, frames=500),
         _track("just", points=FEWEST_POINTS, frames=1),
         _track("good", "van", points=10**4, frames=20),
     ]
     found = ranked(tracks)
-    assert [track.track_id for track in found] == ["good", "just", "far", "unseen", "walker"]
-    assert [track.usable for track in found] == [True, True, False, False, False]
-    assert [track.why.split(";")[0] for track in found[2:]] == [
+    order = ["good", "just", "walker", "far", "unseen", "trailer"]
+    assert [track.track_id for track in found] == order
+    assert [track.usable for track in found] == [True, True, True, False, False, False]
+    assert [track.why.split(";")[0] for track in found[3:]] == [
         f"has {FEWEST_POINTS - 1} LiDAR points, {FEWEST_POINTS} are needed",
         "is not visible in any image",
-        "is not a car, van, truck or bus",
+        "is no car, van, truck or bus, pedestrian or cyclist",
     ]
 
 

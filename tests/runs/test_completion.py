@@ -78,6 +78,20 @@ def test_people_are_completed_by_generators_that_make_them(tiny_log: DrivingLog)
     assert "of a group" in dict(choose_completed(group, "0", ("all",), CONFIG).left)["1"]
 
 
+def test_trailers_and_motorcycles_stay_and_are_told(tiny_log: DrivingLog) -> None:
+    for category in ("trailer", "motorcyclist"):
+        log = with_track(tiny_log, "1", category=category)
+        chosen = choose_completed(log, "0", ("near",), CONFIG)
+        assert chosen.tracks == ()
+        assert chosen.left == (("1", f"it is a {category}, which auto does not make"),)
+    waymo = with_track(tiny_log, "1", size=np.array([2.2, 0.8, 1.5]))  # its label is "vehicle"
+    [(track, why)] = choose_completed(waymo, "0", ("all",), CONFIG).left
+    assert (track, why) == ("1", "has a box of 2.20 x 0.80 x 1.50 m: a motorcycle?")
+    twizy = with_track(tiny_log, "1", size=np.array([2.34, 1.2, 1.5]))
+    [(_, why)] = choose_completed(twizy, "0", ("all",), CONFIG).left
+    assert "seen too little" in why  # not by its box
+
+
 def test_who_makes_whom() -> None:
     assert makeable(["auto"]) == ("car", "van", "truck", "bus", "pedestrian", "cyclist")
     assert makeable(["auto", "people"]) == ("pedestrian", "cyclist")
@@ -88,7 +102,14 @@ def test_who_makes_whom() -> None:
 
 @pytest.mark.parametrize(
     ("category", "generator"),
-    [("pedestrian", "template"), ("cyclist", "parametric"), ("misc", "auto"), ("car", "people")],
+    [
+        ("pedestrian", "template"),
+        ("cyclist", "parametric"),
+        ("misc", "auto"),
+        ("car", "people"),
+        ("trailer", "auto"),
+        ("motorcyclist", "auto"),
+    ],
 )
 def test_a_target_that_no_generator_makes_is_refused_before_anything_is_written(
     category: str,

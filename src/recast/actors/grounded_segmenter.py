@@ -35,6 +35,8 @@ _PROMPTS = {
     "tram": "a tram. a train.",
     "pedestrian": "a person.",
     "cyclist": "a cyclist. a bicycle.",
+    "motorcyclist": "a motorcycle.",
+    "trailer": "a trailer.",
     "misc": "a vehicle.",
 }
 DETECTOR_FOLDER = "grounding-dino"

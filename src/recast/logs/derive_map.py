@@ -15,7 +15,7 @@ from shapely.geometry.polygon import orient
 from recast.core.errors import InputError
 from recast.geometry import Polyline, se3
 from recast.logs.hdmap import GroundHeight, HdMap, Lane, without_holes
-from recast.logs.types import Array, DrivingLog, Trajectory
+from recast.logs.types import PEOPLE, Array, DrivingLog, Trajectory
 
 CELL = 0.3  # metres
 REACH = 15.0  # metres from the ego path
@@ -339,7 +339,7 @@ def _traffic_offsets(log: DrivingLog, line: Polyline) -> Array:
     for track in log.tracks.values():
         places = track.trajectory.poses[:, :2, 3]
         moved = places[-1] - places[0]
-        if np.linalg.norm(moved) < 5.0 or track.category in ("pedestrian", "cyclist"):
+        if np.linalg.norm(moved) < 5.0 or track.category in (*PEOPLE, "motorcyclist"):
             continue
         s, lateral = line.to_frenet(places)
         beside = (s > 0) & (s < line.length)

@@ -37,7 +37,7 @@ from recast.logs.plausibility import (
     warn_odd,
 )
 from recast.logs.store import LOG_FILE, read_log
-from recast.logs.types import VEHICLES, CameraStream, DrivingLog, Track
+from recast.logs.types import PEOPLE, VEHICLES, CameraStream, DrivingLog, Track
 
 CopyProgress = Progress
 """Called with the bytes copied so far, and with all there are."""
@@ -398,7 +398,7 @@ def log_info(log: DrivingLog) -> LogInfo:
 def ranked(tracks: Sequence[TrackInfo]) -> tuple[TrackInfo, ...]:
     """The tracks with `usable` and `why`, the best candidates for replacing first.
 
-    Those that can be replaced come first, then other vehicles, then the rest; within each by
+    Those that can be replaced come first, vehicles before people, then the rest; within each by
     `TrackInfo.evidence`, and by LiDAR points where there is none.
     """
     rated = [_rated(track) for track in tracks]
@@ -410,8 +410,8 @@ def ranked(tracks: Sequence[TrackInfo]) -> tuple[TrackInfo, ...]:
 
 def _rated(track: TrackInfo) -> TrackInfo:
     seen, points = track.visibility, track.lidar_points
-    if track.category not in VEHICLES:
-        return replace(track, why="is not a car, van, truck or bus")
+    if track.category not in (*VEHICLES, *PEOPLE):
+        return replace(track, why="is no car, van, truck or bus, pedestrian or cyclist")
     if seen.frames == 0:
         return replace(track, why="is not visible in any image")
     if not seen.whole:

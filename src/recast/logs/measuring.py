@@ -41,7 +41,7 @@ JUMP = (2.0, 35.0)
 both. Between 126 km/h and standing there are 4 s of full braking."""
 FLIP = 140.0
 """Degrees between two labels within a second: the heading was flipped, nothing turns so fast."""
-FLIPPING = (*VEHICLES, "tram", "cyclist")
+FLIPPING = (*VEHICLES, "tram", "trailer", "cyclist", "motorcyclist")
 """Categories that cannot turn on the spot."""
 SAME_SCALE = 0.2
 """Relative difference of the principal point from the image's centre that lenses and crops have."""

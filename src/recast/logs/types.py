@@ -26,7 +26,7 @@ FRAMES = ("world", "rig")
 VEHICLES = ("car", "van", "truck", "bus")
 """Categories of tracks that are motor vehicles with boxes of their own."""
 PEOPLE = ("pedestrian", "cyclist")
-"""Categories of tracks that are people, on foot or riding."""
+"""Categories of tracks that are people, on foot or on bicycles."""
 
 
 class ImageSource(Protocol):
@@ -169,8 +169,8 @@ class Track:
 
     Attributes:
         track_id: id of the track, unique in the log.
-        category: lower case, one of "car", "van", "truck", "bus", "pedestrian", "cyclist", "tram",
-            "misc".
+        category: lower case, one of "car", "van", "truck", "bus", "trailer", "pedestrian",
+            "cyclist", "motorcyclist", "tram", "misc".
         size: (3,) length, width, height in metres.
         trajectory: `world_from_object`, origin at the box centre, x forward.
     """

@@ -20,6 +20,11 @@ from recast.reconstruction.views import modelled_tracks
 ALL, NEAR = "all", "near"
 _COST = "about a minute of CPU time"
 """With one camera of 621x188 50 s, a person 15 s; what is in the store costs nothing."""
+_UNMADE = ("trailer", "motorcyclist")
+"""Categories of traffic that no generator makes."""
+_CYCLE = 2.8, 1.1
+"""Metres of length and width below which a vehicle's box is that of a motorcycle: Waymo's labels do
+not tell it from a car, and the smallest cars are wider."""
 _NEAR = 30.0
 """Metres from the recorded ego within which a rollout shows a vehicle's sides."""
 
@@ -45,12 +50,14 @@ def require_made(generator: str, track: Track, where: str) -> None:
 
     Raises:
         InputError: it is a person and the generator makes vehicles, or the other way round; a box
-            of a group, or of a bicycle without a rider; or "misc", such as a trailer.
+            of a group, of a bicycle without a rider or of a motorcycle; or a category that none
+            makes: trailers, motorcyclists and "misc".
     """
     if not GENERATORS.is_own(generator):
         return
     category, makes = track.category, makeable([generator])
-    if category not in makes and (category in (*PEOPLE, "misc") or "car" not in makes):
+    never = (*PEOPLE, *_UNMADE, "misc")
+    if category not in makes and (category in never or "car" not in makes):
         raise InputError(
             where,
             f"track {track.track_id}",
@@ -58,8 +65,23 @@ def require_made(generator: str, track: Track, where: str) -> None:
             "give `arm` native, and oracle on a synthetic log; or another `generator`",
             "docs/scenarios.md#people",
         )
-    if category in PEOPLE:
-        require_person(category, track.size, track.track_id)
+    _require_box(track)
+
+
+def _require_box(track: Track) -> None:
+    """Refuse a box that nothing of the track's category has. Raises InputError."""
+    if track.category in PEOPLE:
+        require_person(track.category, track.size, track.track_id)
+    elif track.category in VEHICLES and np.all(track.size[:2] < _CYCLE):
+        length, width, height = (float(side) for side in track.size)
+        box = f"{length:.2f} x {width:.2f} x {height:.2f} m"
+        raise InputError(
+            f"track {track.track_id}",
+            track.category,
+            f"has a box of {box}: a motorcycle?",
+            "leave it reconstructed (arm native)",
+            "docs/scenarios.md#complete-vehicles",
+        )
 
 
 @dataclass(frozen=True)
@@ -137,18 +159,17 @@ def choose_completed(
 
 
 def _why_not(log: DrivingLog, key: str, points: int, config: SceneConfig) -> str | None:
-    track = log.tracks[key]
-    if track.category in PEOPLE:
-        try:
-            require_person(track.category, track.size, key)
-        except InputError as error:
-            return error.problem
+    try:
+        _require_box(log.tracks[key])
+    except InputError as error:
+        return error.problem
     return why_not_seen(log, key, points, config)
 
 
 def _asked(log: DrivingLog, words: Sequence[str]) -> list[str]:
     """Road users that "all" or "near" stand for, in the order of the log."""
-    found = [key for key, track in log.tracks.items() if track.category in (*VEHICLES, *PEOPLE)]
+    kinds = (*VEHICLES, *PEOPLE, *_UNMADE)
+    found = [key for key, track in log.tracks.items() if track.category in kinds]
     if ALL in words:
         return found
     return [key for key in found if NEAR in words and _distance(log, key) <= _NEAR]

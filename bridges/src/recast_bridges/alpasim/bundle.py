@@ -159,7 +159,9 @@ LABELS = {
     "truck": "heavy_truck",
     "bus": "bus",
     "pedestrian": "person",
+    "trailer": "trailer",
     "cyclist": "bicycle",
+    "motorcyclist": "rider",
     "tram": "train_or_tram_car",
 }
 """AlpaSim's label classes by category; all others are `OTHER`."""

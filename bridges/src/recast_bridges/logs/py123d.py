@@ -60,9 +60,10 @@ CATEGORIES = {
     "OTHER": "misc",
 }
 """By py123d's common labels."""
-WORDS = {"BUS": "bus", "TRUCK": "truck", "TRAILER": "truck", "LARGE": "truck", "VAN": "van"}
+WORDS = {"BUS": "bus", "TRUCK": "truck", "TRAILER": "trailer", "LARGE": "truck", "VAN": "van"}
 """Words of a dataset's own label that tell more about a vehicle."""
-RIDERS = {"CYCLIST", "BICYCLIST", "MOTORCYCLIST", "RIDER"}
+MOTORCYCLES = {"MOTORCYCLE", "MOTORCYCLIST"}
+RIDERS = {"CYCLIST", "BICYCLIST", "RIDER"}
 """Words of a dataset's own label of a person who is part of a two-wheeler."""
 EGO = "EGO"
 
@@ -263,6 +264,8 @@ def _track(folder: Path, token: str, rows: list[tuple[int, Any]], offset: Array)
 def category(label: str, common: str) -> str | None:
     """Our category of a dataset's own label and py123d's common one; None where unknown."""
     words = label.upper().split("_")
+    if MOTORCYCLES.intersection(words):
+        return "motorcyclist"
     if common == "VEHICLE":
         return next((WORDS[word] for word in words if word in WORDS), CATEGORIES[common])
     if common == "PERSON" and RIDERS.intersection(words):

@@ -174,7 +174,7 @@ EGO, TRACK = "ego", "track-"
 """Name of the ego, and what the names of tracks begin with."""
 _DATE = "2000-01-01T00:00:00"  # the same scenario gives the same bytes
 _KINDS = {"car": "car", "van": "van", "truck": "truck", "bus": "bus", "tram": "tram"}
-_KINDS |= {CYCLIST: "bicycle", "misc": "car"}
+_KINDS |= {CYCLIST: "bicycle", "motorcyclist": "motorbike", "trailer": "trailer", "misc": "car"}
 
 
 def write_openscenario(path: str | Path, played: Played, road: str | None = None) -> None:

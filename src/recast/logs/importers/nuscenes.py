@@ -276,8 +276,8 @@ CATEGORIES = {
     "vehicle.construction": "truck",
     "vehicle.emergency.ambulance": "van",
     "vehicle.emergency.police": "car",
-    "vehicle.motorcycle": "cyclist",
-    "vehicle.trailer": "truck",
+    "vehicle.motorcycle": "motorcyclist",
+    "vehicle.trailer": "trailer",
     "vehicle.truck": "truck",
 }
 """The dataset's categories; the ego's own box, should there be one, is left out."""

@@ -56,7 +56,8 @@ class Obstacle:
     @classmethod
     def from_actor(cls, actor: ActorState) -> Obstacle:
         """The obstacle of an actor; categories that are neither person nor cycle are vehicles."""
-        kinds = {"pedestrian": AgentKind.PEDESTRIAN, "cyclist": AgentKind.BICYCLE}
+        kinds = {"pedestrian": AgentKind.PEDESTRIAN}
+        kinds |= dict.fromkeys(("cyclist", "motorcyclist"), AgentKind.BICYCLE)  # as in nuPlan
         kind = kinds.get(actor.category, AgentKind.VEHICLE)
         return cls(actor.track_id, kind, actor.pose, actor.velocity, actor.size[:2])
 
