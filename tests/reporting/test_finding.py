@@ -159,3 +159,8 @@ def test_an_actor_behind_is_not_what_the_ego_stops_for() -> None:
         metrics = rollout_metrics(standing, straight_map())
         one = ScenarioPart("S", "", (RolloutPart("native", standing, metrics),))
         assert words in endings(one, ARMS)
+        walker = replace(standing, category="pedestrian")
+        part = RolloutPart("native", walker, rollout_metrics(walker, straight_map()))
+        told = endings(ScenarioPart("S", "", (part,)), {"native": "reconstructed pedestrian"})
+        assert words.replace("vehicle", "pedestrian") in told
+        assert "with the reconstructed pedestrian, " in told

@@ -105,7 +105,7 @@ def test_the_first_screen_comes_before_everything(report: Path) -> None:
     assert len([p for p in pictures if "showcase" in p]) == 2
     for words in (
         "seen three ways",
-        "recast completes the vehicle",
+        "recast completes what",
         "seen from its front, 10 m ahead of the camera and 170° away from the nearest of the 80",
         "PSNR 11.0\u00a0dB, SSIM 0.475, mask IoU 0.38",
         "nearer to the truth",

@@ -60,6 +60,15 @@ def test_round_trip_is_bit_exact(rollout: Rollout, tmp_path: Path) -> None:
             assert value == restored, field.name
 
 
+def test_only_a_person_is_written_as_something_else_than_a_vehicle(
+    rollout: Rollout, tmp_path: Path
+) -> None:
+    save_rollout(rollout, tmp_path / "vehicle")
+    assert "category" not in json.loads((tmp_path / "vehicle" / "rollout.json").read_text())
+    save_rollout(replace(rollout, category="cyclist"), tmp_path / "cyclist")
+    assert load_rollout(tmp_path / "cyclist").category == "cyclist"
+
+
 def test_a_rollout_without_plans_survives(rollout: Rollout, tmp_path: Path) -> None:
     empty = replace(
         rollout, predictions=np.zeros((0, 40, 3)), plan_steps=np.zeros(0, dtype=np.int64)

@@ -389,7 +389,7 @@ class RolloutActor(NamedTuple):
     """A controlled actor as the metrics see it.
 
     Attributes:
-        category: category, see `Track.category`; a rollout does not keep the target's: "vehicle".
+        category: category, see `Track.category` and `Rollout.category`.
         states: (S+1, 4) x, y, heading of the box centre, speed.
         size: (3,) length, width, height, metres.
     """
@@ -404,7 +404,7 @@ class RolloutActor(NamedTuple):
 def rollout_actors(rollout: Rollout) -> list[RolloutActor]:
     """All controlled ones, the target first."""
     target = RolloutActor(
-        rollout.track_id, "the actor", "vehicle", rollout.actor, rollout.actor_size
+        rollout.track_id, "the actor", rollout.category, rollout.actor, rollout.actor_size
     )
     further = (
         RolloutActor(one.track_id, f"actor {one.track_id}", one.category, one.states, one.size)

@@ -150,8 +150,8 @@ def _ending(metrics: RolloutMetrics) -> tuple[str, str]:
     ahead = rollout.actor[nearest, :2] - rollout.ego[nearest, :2]
     before = float(ahead @ np.array([np.cos(heading), np.sin(heading)])) > 0
     if before and rollout.ego[nearest, ego.VX] < _STANDING:
-        return f"stops {{}} m before the vehicle{off}", gap
-    return f"comes within {{}} m of the vehicle, without contact{off}", gap
+        return f"stops {{}} m before the {rollout.category}{off}", gap
+    return f"comes within {{}} m of the {rollout.category}, without contact{off}", gap
 
 
 def _telling(run: ReportInputs, scenario: ScenarioPart) -> tuple[int, float]:
@@ -184,7 +184,7 @@ def _meaning(run: ReportInputs, metrics: Mapping[str, RolloutMetrics]) -> str:
     first, *rest = others.values()
     if all(first.same_verdict(one) for one in rest):
         return "The verdict (collision or not) is the same with all."
-    return "The verdict depends on the vehicle's looks; a recording has no truth to decide by."
+    return "The verdict depends on the target's looks; a recording has no truth to decide by."
 
 
 def _sightless(scenario: ScenarioPart) -> list[str]:
@@ -192,7 +192,7 @@ def _sightless(scenario: ScenarioPart) -> list[str]:
     blind = (part for part in scenario.rollouts if part.trust and part.trust.features is None)
     named = {part.metrics.planner for part in blind if isinstance(part.metrics, RolloutMetrics)}
     return [
-        f"{planner} uses no images, so it drives alike however the vehicle looks; name a planner "
+        f"{planner} uses no images, so it drives alike however the target looks; name a planner "
         "that does, such as gtrs-mini."
         for planner in named
     ]

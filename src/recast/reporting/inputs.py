@@ -21,9 +21,9 @@ from recast.simulation.scene_renderer import RolloutCoverage, RolloutGaps
 Picture = Path | NDArray[np.uint8]
 """A PNG or JPEG file, or (H, W, 3) RGB or (H, W, 4) RGBA uint8."""
 PURPOSE = (
-    "The log shows this vehicle only from the path of the recording car. recast completes the "
-    "vehicle, so the drive can be simulated again with a new motion of the vehicle and with the "
-    "camera images that this motion would have given."
+    "The log shows this road user only from the path of the recording car. recast completes what "
+    "it does not show, so the drive can be simulated again with a new motion and with the camera "
+    "images that this motion would have given."
 )
 
 

@@ -211,7 +211,7 @@ def _legend(mean: Coverage) -> Image:
     for name, colour in drawing.SHARES.items():
         label = f"{name} {getattr(mean, name):.0%}"
         x += _swatch(canvas, x, 26, label, colour, 21) + 40
-    note = "of the vehicle in these eight views: seen in the log, mirrored from the seen side,"
+    note = "of the surface in these eight views: seen in the log, mirrored from the seen side,"
     note += " or invented by the generator"
     canvas.text((x, 26), note, drawing.LOGGED, _TEXT, "lm")
     return canvas.image

@@ -490,7 +490,7 @@ def _true_showcase(folder: Path, views: OracleViews, names: Mapping[str, str]) -
             f"{100 * change.level:.0f} % interval {change.low:+.2f} to {change.high:+.2f})."
         )
     return ShowcasePart(
-        caption=f"The vehicle seen from its {side}, {view.distance:.0f} m ahead of the camera and "
+        caption=f"The target seen from its {side}, {view.distance:.0f} m ahead of the camera and "
         f"{view.angle:.0f}° away from the nearest of the {views.logged} recorded images that show "
         f"it. Camera and street are those of frame {view.frame} of the log.",
         pictures={name: folder / f"showcase_{key}.png" for key, name in names.items()},

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from recast.actors.actor import Coverage
+from recast.logs.types import PEOPLE
 from recast.metrics import RolloutMetrics
 from recast.metrics.plan_agreement import MOVED, PlanAgreement, read_agreement
 from recast.metrics.rollout_metrics import contacts_of_others
@@ -23,7 +24,7 @@ from recast.reporting.inputs import (
 )
 from recast.reporting.plots import Series, series
 from recast.reporting.tables import Tone
-from recast.simulation.rollout import Rollout, RolloutFailure
+from recast.simulation.rollout import ANY_VEHICLE, Rollout, RolloutFailure
 from recast.simulation.scene_renderer import RolloutCoverage
 
 
@@ -116,7 +117,7 @@ def headline(run: ReportInputs) -> tuple[str, ...]:
     """Sentences on what was simulated and how it ended."""
     if isinstance(run.scenarios, NotMade) or not run.scenarios:
         return ("No rollouts were made.",)
-    actor = run.actor.name if isinstance(run.actor, ActorPart) else "the chosen vehicle"
+    actor = run.actor.name if isinstance(run.actor, ActorPart) else "the chosen road user"
     names = [title for arm, title in run.arms.items() if arm != run.truth_arm]
     parts = [part for scenario in run.scenarios for part in scenario.rollouts]
     rollouts = [part.rollout for part in parts if isinstance(part.rollout, Rollout)]
@@ -249,8 +250,8 @@ def listed(names: Sequence[str]) -> str:
 
 def vehicles(labels: Sequence[str]) -> str:
     """Labels of arms as in a sentence: "the replaced and the true vehicle"."""
-    noun = " vehicle"
-    if not all(label.endswith(noun) for label in labels):
+    noun = f" {labels[0].rpartition(' ')[2]}"
+    if noun[1:] not in (ANY_VEHICLE, *PEOPLE) or not all(label.endswith(noun) for label in labels):
         return listed(list(labels))
     return listed([f"the {label.removesuffix(noun)}" for label in labels]) + noun
 

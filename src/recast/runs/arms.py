@@ -19,6 +19,7 @@ from recast.core.records import Record, validated
 from recast.core.yaml_lines import nodes_of, read_yaml_file
 from recast.reconstruction.config import Preset
 from recast.scene.store import SCENE_FILE
+from recast.simulation.rollout import ANY_VEHICLE
 from recast.weights import PUBLISHED
 
 OWN_STREET = "recast"
@@ -175,15 +176,14 @@ class Arm(Record):
         """Whether a generated vehicle stands in the target's place."""
         return self.vehicle == "generated"
 
-    @property
-    def label(self) -> str:
-        """Its name for people."""
+    def label(self, noun: str = ANY_VEHICLE) -> str:
+        """Its name for people, who call the target by a noun."""
         shown = (
             (Arm.native(), "reconstructed"),
             (Arm.replaced(), "replaced"),
             (Arm.oracle(), "true"),
         )
-        return next((f"{word} vehicle" for arm, word in shown if arm == self), self.name)
+        return next((f"{word} {noun}" for arm, word in shown if arm == self), self.name)
 
     def inputs(self) -> dict[str, Any]:
         """What keys of its images need beside the keys of its street and its vehicles."""

@@ -18,6 +18,7 @@ from recast.core import Artefact, Store
 from recast.core.errors import InputError
 from recast.core.files import member
 from recast.logs import DrivingLog, HdMap, map_of, read_log
+from recast.logs.types import PEOPLE
 from recast.metrics import RolloutMetrics, own_metrics
 from recast.reporting import (
     NOT_MADE,
@@ -66,6 +67,7 @@ from recast.runs.scores import (
 )
 from recast.scene import load_scene
 from recast.simulation import Rollout, RolloutFailure
+from recast.simulation.rollout import ANY_VEHICLE
 
 
 def report_run(run: str | Path, out: str | Path | None = None) -> Path:
@@ -168,7 +170,9 @@ class GatheredRun:
     @property
     def arms(self) -> dict[str, str]:
         """Arm to its name for people."""
-        return {arm.name: arm.label for arm in self.config.arms}
+        category = self.log.tracks[self.config.track].category
+        noun = category if category in PEOPLE else ANY_VEHICLE
+        return {arm.name: arm.label(noun) for arm in self.config.arms}
 
     def inputs(self) -> ReportInputs:
         """Everything that the report shows."""

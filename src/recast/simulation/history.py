@@ -15,11 +15,13 @@ from recast.dynamics import state as ego
 from recast.geometry import se2
 from recast.logs import Track, Trajectory
 from recast.logs.motion import logged_velocity
+from recast.logs.types import PEOPLE
 from recast.planning import WAYPOINTS, ActorState, ReferenceRoute
 from recast.simulation.actor_motion import EGO, MotionInput, RoadUsers
 from recast.simulation.recorded_road import SMOOTHING, RoadSurface, refuse_if_too_short, who
 from recast.simulation.renderer import SensorRenderer
 from recast.simulation.rollout import (
+    ANY_VEHICLE,
     ControlledActor,
     Rollout,
     RolloutOrigin,
@@ -195,6 +197,7 @@ class History:
             name=setup.name,
             arm=setup.arm,
             track_id=setup.track_id,
+            category=category if (category := setup.track.category) in PEOPLE else ANY_VEHICLE,
             motion=setup.motion.name,
             setting=setup.motion.setting,
             planner=planner,

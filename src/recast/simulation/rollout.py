@@ -185,6 +185,8 @@ def check_limited(where: str, text: str, limit: int) -> None:
         raise ValueError(f"{where}: has {len(text)} characters, more than {limit}")
 
 
+ANY_VEHICLE = "vehicle"
+"""Category of a target that is no person, whatever kind of vehicle it is."""
 EGO_COLUMNS = COLUMNS
 """Columns of `Rollout.ego`: rear axle; pose in the world, the rest in the ego frame, SI units."""
 
@@ -199,7 +201,7 @@ _RANGES = {
     "ego_size": BOX_SIDE,
     "ego_centre_offset": (-BOX_SIDE[1], BOX_SIDE[1]),
 }
-_TEXTS = ("name", "arm", "track_id", "motion", "setting", "planner", "cut_reason")
+_TEXTS = ("name", "arm", "track_id", "category", "motion", "setting", "planner", "cut_reason")
 _LONGEST_TEXT = 4000
 """Names are shorter (`NAME_LIMIT`); a rollout's joins two, and a reason may quote some."""
 
@@ -212,7 +214,8 @@ class Rollout(Brief):
         name: name of the rollout, unique within a batch.
         arm: what rendered the actor ("native", "recast", ...); the states of a scripted actor do
             not depend on it.
-        track_id: the target, the first controlled vehicle.
+        track_id: the target, the first controlled actor.
+        category: "pedestrian" or "cyclist" of a target that is one; "vehicle" of all others.
         motion: name of the motion, as in `recast.simulation.motions`, for example "cut-in".
         setting: name of its setting, for example "a".
         planner: the planner's name.
@@ -261,6 +264,7 @@ class Rollout(Brief):
     predictions: Array
     plan_steps: Int64Array
     route: Array
+    category: str = ANY_VEHICLE
     other_actors: tuple[str, ...] = ()
     controlled: tuple[ControlledActor, ...] = ()
     reactive: tuple[str, ...] = ()

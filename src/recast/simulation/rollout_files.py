@@ -30,7 +30,13 @@ from recast.core.files import atomic_folder, write_json
 from recast.core.records import Record, read_record
 from recast.core.table_files import ArrowTable, read_parquet, write_parquet
 from recast.planning import WAYPOINTS
-from recast.simulation.rollout import EGO_COLUMNS, PATH_COLUMNS, ControlledActor, Rollout
+from recast.simulation.rollout import (
+    ANY_VEHICLE,
+    EGO_COLUMNS,
+    PATH_COLUMNS,
+    ControlledActor,
+    Rollout,
+)
 
 if TYPE_CHECKING:
     from recast.simulation.scene_renderer import RolloutCoverage
@@ -56,7 +62,8 @@ class ActorHeader(Record):
 
 class RolloutHeader(Record):
     """The scalars of a `Rollout`, whose `validate` has their ranges; `version` guards against
-    readers of another layout. Empty `controlled` and `reactive` are not written."""
+    readers of another layout. Empty `controlled` and `reactive` are not written, nor is the
+    category of a vehicle."""
 
     format: Literal["recast-rollout"] = "recast-rollout"
     version: Literal[2] = VERSION
@@ -74,6 +81,7 @@ class RolloutHeader(Record):
     actor_size: _Plain[tuple[float, float, float]]
     ego_size: _Plain[tuple[float, float]]
     ego_centre_offset: float
+    category: str = ANY_VEHICLE
     other_actors: tuple[str, ...]
     controlled: tuple[ActorHeader, ...] = ()
     reactive: tuple[str, ...] = ()
@@ -138,6 +146,7 @@ def save_rollout(rollout: Rollout, folder: str | Path) -> None:
     rollout.validate()
     header = RolloutHeader.model_validate(rollout, from_attributes=True)
     empty = {name for name in ("controlled", "reactive") if not getattr(header, name)}
+    empty |= {"category"} if header.category == ANY_VEHICLE else set()
     tables = {
         "rollout": {
             **_number_columns("ego", EGO_COLUMNS, rollout.ego),
