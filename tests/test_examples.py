@@ -12,6 +12,9 @@ import pytest
 
 from recast.cli.main import main
 from recast.planning import make_planner
+from recast.planning.types import ReferenceRoute
+from recast.simulation import MOTIONS, RolloutSetup, run_rollout
+from support.synthetic_drives import drive
 
 EXAMPLES = Path(__file__).resolve().parents[1] / "examples"
 PAGE = EXAMPLES.parent / "docs" / "examples.md"
@@ -114,6 +117,16 @@ def test_the_page_shows_them_as_they_are() -> None:
 def test_a_planner_drives_without_a_scene(name: str, word: str, said, folder: Path) -> None:
     out = said(name, folder / "log", "advancing-a")
     assert word in out and int(out.split()[0]) >= 10
+
+
+def test_an_ego_that_moves_over(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.syspath_prepend(EXAMPLES.parent)
+    log = drive(speed=8.0, seconds=20.0)
+    setup = RolloutSetup(log, "7", MOTIONS["advancing-b"], steps=80)
+    rollout = run_rollout(setup, make_planner("examples.changes_lanes:ChangesLanes"))
+    route = ReferenceRoute.from_trajectory(log.world_from_rig)
+    _, lateral = route.project(rollout.ego[:, :2])
+    assert abs(lateral[0]) < 0.1 and lateral[-1] == pytest.approx(3.0, abs=0.2)
 
 
 def test_an_importer_of_ones_own(said, tmp_path: Path) -> None:
