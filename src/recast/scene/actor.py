@@ -334,16 +334,16 @@ class DrawnActor:
                 parts = actor.shaped_at(shapes_us).frozen(self._device)
                 self._shaped = colours_us, shapes_us, parts
             return self._shaped[2]
-        if actor.gait is not None:
-            if self._lit is None or not np.array_equal(self._lit[0], pose):
-                stepped = actor.lit_at(rounded(pose)).stepped_at(pose)
-                self._lit = np.array(pose), stepped.frozen(self._device)
-            return self._lit[1]
-        if actor.light is not None:
+        if actor.light is not None or actor.gait is not None:
             place = rounded(pose)
-            if self._lit is None or not np.array_equal(self._lit[0], place):
-                parts = actor.lit_at(place).recoloured(self._parts, self._device)
-                self._lit = place, parts
+            same_for = place if actor.gait is None else np.array(pose)
+            if self._lit is None or not np.array_equal(self._lit[0], same_for):
+                lit = actor.lit_at(place)
+                if actor.gait is None:
+                    parts = lit.recoloured(self._parts, self._device)
+                else:
+                    parts = lit.stepped_at(pose).frozen(self._device)
+                self._lit = same_for, parts
             return self._lit[1]
         if colours_us is not None and actor.appearance is not None:
             return actor.coloured_at(colours_us).recoloured(self._parts, self._device)
