@@ -31,16 +31,16 @@ from recast.weights import shipped_folder
 RECIPES = {
     "log": 2,
     "actor": 11,
-    "refine": 6,
+    "refine": 7,
     "turntable": 1,
     "scene": 8,
     "evaluation": 4,
     "truth": 5,
-    "rollout": 11,
+    "rollout": 12,
     "plans": 3,
     "scene-level": 3,
-    "metrics": 12,
-    "report": 17,
+    "metrics": 13,
+    "report": 18,
 }
 """Version of what recast's own code makes of the inputs of a step.
 

@@ -91,11 +91,6 @@ class _Drawn:
         """The body in a view, at a phase where its way begins."""
         return self._gait.posed(self.gaussians, phase + view.gone / self._cycle)
 
-    def alpha(self, view: PersonView, phase: float) -> Tensor:
-        """(H, W) opacity."""
-        with torch.no_grad():
-            return view.drawn(self.at(view, phase))[1]
-
     def cost(self, view: PersonView, phase: float) -> float:
         """How much a view differs."""
         with torch.no_grad():
@@ -156,14 +151,23 @@ def _turn(
 
 
 def _outlined(views: Sequence[PersonView], size: Array, fit: PersonFit) -> list[PersonView]:
+    """The views with masks about a body, see `outlined`."""
+    drawn = _Drawn(fit.shape, size, fit.place)
+    return outlined(views, [drawn.at(view, fit.phase) for view in views])
+
+
+def outlined(views: Sequence[PersonView], posed: Sequence[Gaussians]) -> list[PersonView]:
     """The views with masks of their own colours and edges about a body (GrabCut).
 
     The body's middle is the person's for sure, and what is far from it is not.
+
+    Args:
+        posed: the body in each view, in the view's box frame.
     """
-    outlines = _Drawn(fit.shape, size, fit.place)
     found = []
-    for view in views:
-        alpha = outlines.alpha(view, fit.phase).numpy()
+    for view, gaussians in zip(views, posed, strict=True):
+        with torch.no_grad():
+            alpha = view.drawn(gaussians)[1].numpy()
         per_metre = view.camera.fx / max(float(view.camera_from_object[2, 3]), 1.0)
         height, width = alpha.shape
         scale = max(1, round(_MASK_PX / per_metre))  # GrabCut takes whole pixels

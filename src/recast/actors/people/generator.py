@@ -15,16 +15,17 @@ from recast.actors.evidence import Evidence
 from recast.actors.generate import PEOPLE_GENERATOR, VEHICLE, Asset, BaseGenerator
 from recast.actors.insert import shadow_below
 from recast.actors.observation import Observation
-from recast.actors.people.body import surface_of
+from recast.actors.people.body import BodySurface, surface_of
 from recast.actors.people.clothes import DRESS_STEPS, dress
-from recast.actors.people.fit import PersonFit, fit_person
+from recast.actors.people.fit import PersonFit, fit_person, outlined
+from recast.actors.people.skeleton import SkeletonBody, rest_vertices, skeleton_body
 from recast.actors.people.views import NOWHERE, PersonView, box_from_body, gait_of, gaussians_of
 from recast.arrays import Array
 from recast.core.diagnostics import Progress
 from recast.core.errors import InputError
-from recast.logs import Trajectory
 from recast.logs.types import PEOPLE
-from recast.scene.deformation import Gait
+from recast.scene import StreetScene
+from recast.scene.deformation import Gait, Skinning
 from recast.splats import MIP, Gaussians
 
 if TYPE_CHECKING:
@@ -39,6 +40,7 @@ _CHILD = 1.45
 _RIDER = 1.25
 """Metres: what is lower is a bicycle without a rider."""
 _LEAST = 0.6
+_FITTED = "girth", "pack", "differs"  # details of the parametric body alone
 _HOLD_BACK = 4  # of a person there are fewer images than of a vehicle
 
 
@@ -117,11 +119,32 @@ class DressedPerson:
 def dressed(fit: PersonFit, size: Array, views: Sequence[PersonView]) -> DressedPerson:
     """The body of a fit in the clothes of the views, in a box of `size` (3,) metres."""
     surface, pose = surface_of(fit.shape, SPACING), box_from_body(size, fit.place)
-    body = gaussians_of(surface, pose, np.full((len(surface.points), 3), 0.5))
     gait = gait_of(surface, pose, fit.shape.cycle, fit.phase, NOWHERE)
-    posed = [gait.posed(body, gait.phase_after(view.gone)) for view in views]
-    clothes = dress(surface, posed, views)
+    return _dressed(surface, pose, gait, views)
+
+
+def _dressed(
+    surface: BodySurface, pose: Array, gait: Gait, views: Sequence[PersonView]
+) -> DressedPerson:
+    """A surface at `pose` (4, 4) `box_from_body` in the clothes of the views."""
+    clothes = dress(surface, _posed(surface, pose, gait, views), views)
     return DressedPerson(gaussians_of(surface, pose, clothes.colours), gait, clothes.shares)
+
+
+def _posed(
+    surface: BodySurface, pose: Array, gait: Gait, views: Sequence[PersonView]
+) -> list[Gaussians]:
+    """A grey body in each view, in the view's box frame."""
+    body = gaussians_of(surface, pose, np.full((len(surface.points), 3), 0.5))
+    return [gait.posed(body, gait.phase_after(view.gone)) for view in views]
+
+
+def dressed_skeleton(body: SkeletonBody, views: Sequence[PersonView]) -> DressedPerson:
+    """A body on a skeleton in the clothes of the views, whose masks are cut about it."""
+    surface, pose = body.surface, np.eye(4)
+    gait = gait_of(surface, pose, body.cycle, body.phase, NOWHERE)
+    cut = outlined(views, _posed(surface, pose, gait, views))
+    return _dressed(surface, pose, gait, cut)
 
 
 def details_of(fit: PersonFit) -> dict[str, str | float | int]:
@@ -136,23 +159,35 @@ def details_of(fit: PersonFit) -> dict[str, str | float | int]:
     }
 
 
+def skeleton_details(body: SkeletonBody) -> dict[str, str | float | int]:
+    """What an asset's record says of a body on a skeleton."""
+    return {
+        "body": "skeleton",
+        "height_m": round(body.height, 3),
+        "cycle_m": round(body.cycle, 3),
+        "explained": round(body.explained, 3),
+    }
+
+
 def follow_person(
     actor: Actor,
     evidence: Evidence,
     layers: Sequence[Layers],
-    trajectory: Trajectory,
+    street: StreetScene,
     progress: Progress | None = None,
 ) -> Actor:
     """The person as all images of the log show it, unless it was better before.
 
     Build, place, length of the steps and their phase are fitted to masks and images between the
-    street's layers, the clothes to the images. Every fourth image judges.
+    street's layers, the clothes to the images. If the street has the person on a skeleton of SMPL's
+    joints, its body and steps are tried as well. Every fourth image judges; the report's notes say
+    why a skeleton is not used.
 
     Args:
         actor: registered person.
         evidence: evidence of its track, with the poses of the scene.
         layers: its images between the layers of the street.
-        trajectory: the track's poses in the scene.
+        street: the street, with its own model of the track.
         progress: called with the number of parts done, and of all.
     """
     assert actor.gait is not None
@@ -166,37 +201,67 @@ def follow_person(
             progress(done, parts + 1)
 
     fit, cut = fit_person(kept, size, actor.category == "cyclist", told)
-    body = dressed(fit, size, cut)
-    found = replace(
-        actor,
-        gaussians=body.gaussians,
-        gait=replace(body.gait, way=actor.gait.way),
-        shares=body.shares,
-        trajectory=trajectory,
-        shadow=shadow_below(body.gaussians, size),
-        low_pass=MIP,
-    )
+    place = (float(fit.place[0]), float(fit.place[1]), 0.0)
+    before = actor.provenance.details
+    tried = [(dressed(fit, size, cut), place, {**before, **details_of(fit)})]
+    skeleton, notes = _skeleton_of(actor, street)
+    if skeleton is not None:
+        plain = {key: before[key] for key in before if key not in _FITTED}
+        details = {**plain, **skeleton_details(skeleton)}
+        tried.append((dressed_skeleton(skeleton, kept), (0.0, 0.0, 0.0), details))
+    found = [
+        replace(
+            actor,
+            gaussians=body.gaussians,
+            gait=replace(body.gait, way=actor.gait.way),
+            shares=body.shares,
+            trajectory=street.actors[actor.track_id].trajectory,
+            shadow=shadow_below(body.gaussians, size),
+            low_pass=MIP,
+        )
+        for body, _, _ in tried
+    ]
     if progress is not None:
         progress(1, 1)
     judges = [views[number] for number in held]
-    before, after = _judged(actor, judges), _judged(found, judges)
+    losses = [_judged(one, judges) for one in found]
+    best, loss_before = int(np.argmin(losses)), _judged(actor, judges)
+    body, place, details = tried[best]
+    if skeleton is not None and best == 0:
+        told_why = "the held-back images differ by {:.3f} with it and by {:.3f} without"
+        notes = (f"the skeleton is not used: {told_why.format(losses[1], losses[0])}",)
     report = Refinement(
         images=len(kept),
         held_back=len(judges),
         left_out=dict(Counter(evidence.left_out)),
-        loss_before=before,
-        loss_bent=after,
-        loss_after=after,
-        kept=after < before,
+        loss_before=loss_before,
+        loss_bent=losses[best],
+        loss_after=losses[best],
+        kept=losses[best] < loss_before,
         steps=DRESS_STEPS,
-        moved=(float(fit.place[0]), float(fit.place[1]), 0.0),
+        moved=place,
         seen=float(body.shares.seen.mean()),
         mirrored=float(body.shares.mirrored.mean()),
+        notes=notes,
     )
-    details = {**actor.provenance.details, **(details_of(fit) if report.kept else {})}
-    update = {"refinement": report, "details": details}
+    update = {"refinement": report, **({"details": details} if report.kept else {})}
     provenance = actor.provenance.model_copy(update=update)
-    return replace(found if report.kept else actor, provenance=provenance)
+    return replace(found[best] if report.kept else actor, provenance=provenance)
+
+
+def _skeleton_of(actor: Actor, street: StreetScene) -> tuple[SkeletonBody | None, tuple[str, ...]]:
+    """The body on the street's skeleton of a person; None without one, or with notes why not."""
+    assert actor.gait is not None
+    native = street.actors[actor.track_id]
+    if not isinstance(native.deformation, Skinning):
+        return None, ()
+    if actor.category == "cyclist":
+        return None, ("the skeleton is not used: it has no bicycle",)
+    try:
+        vertices = rest_vertices(street, actor.track_id)
+        return skeleton_body(native, vertices, actor.gait.way), ()
+    except ValueError as error:  # also of files: the parametric body does without them
+        return None, (f"the skeleton is not used: {error}",)
 
 
 def _judged(actor: Actor, views: Sequence[PersonView]) -> float:

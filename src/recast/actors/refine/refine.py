@@ -64,7 +64,8 @@ def refine(
     Args:
         actor: registered actor, not refined yet.
         evidence: evidence of the actor's track, with the poses of `scene`.
-        scene: street that the vehicle stands in; its own model of the track is not looked at.
+        scene: street that the actor stands in; of its own model of the track only the trajectory is
+            used, and a person's skeleton.
         seed: seed of the order of images.
         steps: numbers of steps; those of `Steps` if None.
         checkpoint: file to go on from after a kill, and to be removed by whoever keeps the result;
@@ -86,8 +87,7 @@ def refine(
         return _reported(actor, Refinement(images=count, left_out=left_out, notes=(note,)))
     views = make_layers(scene, evidence, actor.shadow)
     if actor.gait is not None:
-        trajectory = scene.actors[actor.track_id].trajectory
-        return follow_person(actor, evidence, views, trajectory, progress)
+        return follow_person(actor, evidence, views, scene, progress)
     told = shadow_evidence(actor, scene, views)
     views = [replace(view, shade=told.darkness * view.shade) for view in views]
     held = views[REFINE.hold_back // 2 :: REFINE.hold_back] or [views[count // 2]]
