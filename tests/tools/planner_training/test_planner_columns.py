@@ -10,7 +10,7 @@ import torch
 from recast.dynamics import make_state
 from recast.geometry import boxes, se2
 from recast.planning.gtrs.expert import TargetObstacle
-from recast.planning.gtrs.perception import COLUMN_SCALES
+from recast.planning.gtrs.perception import COLUMN_SCALES, LOOKS_FROM
 from recast.synthetic import make_rig
 from recast_tools.planner_training.samples import COLUMNS, mirror_columns
 from recast_tools.planner_training.targets import COLUMN_VALUES, column_values
@@ -56,7 +56,7 @@ def test_distances_are_those_of_shapely(seed: int) -> None:
         pose = se2.compose(state[:3], place)
         poses = np.stack([pose, se2.compose(pose, [rng.uniform(0, 1.2), 0, 0])])
         cars.append(TargetObstacle(str(index), poses, np.array([4.5, 1.9])))
-    found = column_values(state, cars, DIRECTIONS)
+    found = column_values(state, cars, DIRECTIONS[:, None])
     eye = se2.compose(state[:3], [1.5, 0, 0])
     for values, angle in zip(found, DIRECTIONS, strict=True):
         far = eye[:2] + 70.0 * np.array([np.cos(eye[2] + angle), np.sin(eye[2] + angle)])
@@ -80,10 +80,27 @@ def test_distances_are_those_of_shapely(seed: int) -> None:
         np.testing.assert_allclose(values[4:], seen, atol=1e-4)
 
 
+@pytest.mark.parametrize("ahead", [8.0, 20.0, 35.0])
+def test_somebody_between_the_middles_of_two_columns_is_seen(ahead: float) -> None:
+    looks = HALF_VIEWS.directions(4 * COLUMNS).reshape(COLUMNS, 4)
+    np.testing.assert_allclose(looks.mean(axis=1), DIRECTIONS, atol=1e-9)
+    state, missed = make_state(np.zeros(3), 6.0), 0
+    for aside in np.arange(-6.0, 6.0, 0.1):
+        pose = np.array([ahead, aside, np.pi / 2])
+        walker = TargetObstacle("walker", np.stack([pose, pose]), np.array([0.6, 0.5]))
+        found = column_values(state, [walker], looks)
+        nearest = int(np.abs(DIRECTIONS - np.arctan2(aside, ahead - LOOKS_FROM)).argmin())
+        assert found[nearest, 0] == 1.0 and found[:, 0].sum() <= 3
+        away = np.hypot(ahead - LOOKS_FROM, aside)
+        assert np.exp(found[nearest, 1]) == pytest.approx(away, abs=0.4)
+        missed += not column_values(state, [walker], DIRECTIONS[:, None]).any()
+    assert (missed > 0) == (ahead > 10)  # one look in a column's middle misses them
+
+
 def test_the_mirrored_street_gives_mirrored_columns() -> None:
     state = make_state(np.zeros(3), 6.0)
-    left = column_values(state, [moving(20, 2.0, 0.3, 4.0)], DIRECTIONS)
-    right = column_values(state, [moving(20, -2.0, -0.3, 4.0)], DIRECTIONS)
+    left = column_values(state, [moving(20, 2.0, 0.3, 4.0)], DIRECTIONS[:, None])
+    right = column_values(state, [moving(20, -2.0, -0.3, 4.0)], DIRECTIONS[:, None])
     assert left[:, 0].any()
     np.testing.assert_allclose(mirror_columns(left), right, atol=1e-5)
 
@@ -97,7 +114,7 @@ def read(values: torch.Tensor) -> torch.Tensor:
 
 def test_right_readings_cost_nothing_and_unseen_motion_neither() -> None:
     state = make_state(np.zeros(3), 6.0)
-    values = column_values(state, [moving(20, 1.0, 0.3, 4.0)], DIRECTIONS)
+    values = column_values(state, [moving(20, 1.0, 0.3, 4.0)], DIRECTIONS[:, None])
     columns = torch.from_numpy(values)[None]
     known, unknown = torch.tensor([True]), torch.tensor([False])
     assert float(column_loss(read(columns), columns, known)) < 1e-6

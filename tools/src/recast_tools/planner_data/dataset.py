@@ -57,6 +57,8 @@ _SEEN = np.deg2rad(68.0)
 FIRST_SEED = 1000
 """First seed of training worlds; those below are for evaluation."""
 _WORLDS_PER_SEED = 100_000
+_LOOKS = 8
+"""Directions in which a column is looked at: a pedestrian 45 m away is met by one of them."""
 _TWINS = 0.25
 """Share of the drives with an actor whose samples are made once more without it."""
 _MOST_DRIVES = 20
@@ -324,7 +326,9 @@ def describe(
         best=np.array([found.best for found in targets], np.int32),
         clues=_clues(stage, situation),
         columns=column_values(
-            situation.states[0], situation.obstacles, HALF_VIEWS.directions(COLUMNS)
+            situation.states[0],
+            situation.obstacles,
+            HALF_VIEWS.directions(COLUMNS * _LOOKS).reshape(COLUMNS, _LOOKS),
         ),
         renderer=renderer,
     )

@@ -29,10 +29,10 @@ from recast.planning.gtrs.expert import SCORED
 from recast_tools.planner_training.targets import COLUMN_VALUES
 
 RECORD_FILE, DRIVER_FOLDER = "dataset.json", "driver"
-VERSION: Literal[6] = 6
+VERSION: Literal[7] = 7
 """Version of the format; until version 3, samples were drawn and not driven, until version 4 a
 vocabulary was scored that was the same for all, until version 5 nothing told what the columns of a
-picture show."""
+picture show, until version 6 they showed no road user between the columns' middles."""
 MEND = "name another folder, or make the samples again"
 CLUES = (
     "present",
@@ -130,7 +130,7 @@ class DatasetRecord(Record):
     """
 
     format: Literal["recast-planner-dataset"] = "recast-planner-dataset"
-    version: Literal[6] = VERSION
+    version: Literal[7] = VERSION
     seed: int = Field(default=0, ge=0)
     per_world: int = Field(default=48, ge=2)
     every: float = Field(default=EVERY, gt=0.0, le=2.0)

@@ -21,8 +21,8 @@ def unpacked(scores: NDArray[np.uint8]) -> NDArray[np.float32]:
 
 
 COLUMN_VALUES = ("present", "distance", "cos", "sin", "vx", "vy")
-"""What is seen in one direction, ego frame: whether a vehicle is within `_SEEN_TO`, the natural log
-of its distance in metres, how it is turned, and its velocity against the ego, m/s."""
+"""What is seen in one direction, ego frame: whether a road user is within `_SEEN_TO`, the natural
+log of its distance in metres, how it is turned, and its velocity against the ego, m/s."""
 _SEEN_TO, _NEAREST = 70.0, 1.0
 """Metres."""
 
@@ -30,12 +30,16 @@ _SEEN_TO, _NEAREST = 70.0, 1.0
 def column_values(
     state: Array, obstacles: Sequence[TargetObstacle], directions: Array
 ) -> NDArray[np.float32]:
-    """The nearest vehicle in each of W directions, (W, 6), see `COLUMN_VALUES`; 0 without one.
+    """The nearest road user in each of W columns, (W, 6), see `COLUMN_VALUES`; 0 without one.
+
+    A column is looked at in R directions: 20 m away it is 1.5 m wide, and one look in its middle
+    would miss most people.
 
     Args:
         state: (11,) state of the ego, world.
-        directions: (W,) angles against straight on, to the left positive.
+        directions: (W, R) angles against straight on, to the left positive.
     """
+    columns, directions = len(directions), directions.ravel()
     found = np.zeros((len(directions), len(COLUMN_VALUES)), np.float32)
     nearest = np.full(len(directions), _SEEN_TO)
     way = np.stack([np.cos(directions), np.sin(directions)], axis=-1)[:, None]
@@ -56,4 +60,5 @@ def column_values(
         found[closer, 0] = 1.0
         found[closer, 2:] = np.cos(pose[2]), np.sin(pose[2]), *velocity
     found[:, 1] = found[:, 0] * np.log(np.maximum(nearest, _NEAREST))
-    return found
+    chosen = nearest.reshape(columns, -1).argmin(axis=1)
+    return found.reshape(columns, -1, len(COLUMN_VALUES))[np.arange(columns), chosen]
