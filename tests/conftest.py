@@ -9,9 +9,9 @@ from uuid import uuid4
 
 import cv2
 import pytest
-import torch
 from upath import UPath
 
+from recast.core.workers import use_threads
 from recast.logs import DrivingLog, read_log, write_log
 from recast.logs.importers.kitti import load_kitti
 from recast.splats import native
@@ -19,7 +19,7 @@ from support.tiny_drive import DRIVE, TinyDrive, write_tiny_drive
 
 REPOSITORY = Path(__file__).resolve().parents[1]
 
-torch.set_num_threads(1)  # two OpenMP threads on a busy machine are ten times slower than one
+use_threads(1)  # two OpenMP threads on a busy machine are ten times slower than one
 cv2.setNumThreads(1)  # its pool does not survive a fork: a forked test would wait for it for ever
 
 
@@ -30,6 +30,12 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     for item in items:
         if item.get_closest_marker("slow") is not None:
             item.add_marker(pytest.mark.skip(reason="slow: set RECAST_SLOW=1"))
+
+
+@pytest.fixture(autouse=True)
+def one_thread() -> None:
+    """Commands set the threads of their process, here that of all later tests: begin with one."""
+    use_threads(1)
 
 
 @pytest.fixture(params=["avx512", "avx2", "portable"])
