@@ -13,6 +13,7 @@ from recast.cli.main import main
 from recast.runs.arms import Arm
 from recast.runs.config import RunConfig
 from recast.runs.run import run
+from support.tiny_street import TINY
 
 TITLE = "Advancing"
 
@@ -23,6 +24,7 @@ def small_run(log: Path, out: Path, **settings: object) -> Path:
         motions=("advancing-a",),
         arms=(Arm.native(),),
         films=False,
+        scene=TINY,
         threads=1,
         **{"steps": 10, **settings},
     )

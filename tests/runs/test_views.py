@@ -30,11 +30,9 @@ def test_an_impossible_number_is_one_line(views: int) -> None:
         resolve(views)
 
 
-def test_an_actor_of_several_views_names_them(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_an_actor_of_several_views_names_them(tmp_path: Path) -> None:
     log = made_up.street_log(made_up.car(), made_up.turning_poses())
-    makers = ActorMakers(TemplateGenerator(spacing=0.1), BoxLidarSegmenter())
+    makers = ActorMakers(TemplateGenerator(spacing=0.2, style="estate"), BoxLidarSegmenter())
     config = SceneConfig(holdout_every=2, holdout_offset=0)
     make_actor(log, "7", makers, 0, tmp_path, config, views=3)
     record = load_actor(tmp_path / "actor").provenance
