@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 import subprocess
 import sys
@@ -28,7 +29,7 @@ def core_alone(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def ran(site: Path, code: str, *words: str) -> subprocess.CompletedProcess[str]:
     """A new process with these packages alone."""
-    lines = f"import site, sys; site.addsitedir({str(site)!r}); {code}"
+    lines = f"import site, sys; site.addsitedir({str(site)!r})\n{code}"
     command = [sys.executable, "-S", "-P", "-c", lines, *words]
     return subprocess.run(command, capture_output=True, text=True, timeout=120)
 
@@ -41,31 +42,42 @@ def test_the_public_api_is_whole(core_alone: Path) -> None:
     assert "recast_bridges" not in done.stderr
 
 
-@pytest.mark.parametrize(
-    ("words", "line"),
-    [
-        (
-            "serve sensorsim scene",
-            "recast: command line: serve: is a command of recast-bridges, which is not installed; "
-            "run pip install 'recast-sim[bridges]'",
-        ),
-        ("scene import mtgs x", "scene import mtgs: is a command of recast-bridges"),
-        ("log export alpasim x", "log export: is a command of recast-bridges"),
-        (
-            "planner train",
-            "planner: is a command of recast-tools, which is not installed; run make setup in",
-        ),
-        (
-            "log import py123d x --out y",
-            "py123d: is part of recast-bridges, which is",
-        ),
-        ("demo --planner navsim:a.b:C --out y", "navsim:a.b:C: is part of recast-bridges"),
-    ],
+MISSING = (
+    (
+        "serve sensorsim scene",
+        "recast: command line: serve: is a command of recast-bridges, which is not installed; "
+        "run pip install 'recast-sim[bridges]'",
+    ),
+    ("scene import mtgs x", "scene import mtgs: is a command of recast-bridges"),
+    ("log export alpasim x", "log export: is a command of recast-bridges"),
+    (
+        "planner train",
+        "planner: is a command of recast-tools, which is not installed; run make setup in",
+    ),
+    (
+        "log import py123d x --out y",
+        "py123d: is part of recast-bridges, which is",
+    ),
+    ("demo --planner navsim:a.b:C --out y", "navsim:a.b:C: is part of recast-bridges"),
 )
-def test_what_is_missing_is_one_line(core_alone: Path, words: str, line: str) -> None:
-    done = ran(core_alone, "from recast.cli.main import main; sys.exit(main())", *words.split())
-    assert done.returncode == 2
-    assert line in done.stderr and len(done.stderr.splitlines()) == 1
+"""Commands, and what they say."""
+EACH = """
+import contextlib, io, json
+from recast.cli.main import main
+for words in sys.argv[1:]:
+    said = io.StringIO()
+    with contextlib.redirect_stderr(said):
+        code = main(words.split())
+    print(json.dumps([words, code, said.getvalue()]))
+"""
+
+
+def test_what_is_missing_is_one_line(core_alone: Path) -> None:
+    done = ran(core_alone, EACH, *(words for words, _ in MISSING))
+    assert done.returncode == 0, done.stderr
+    for (words, line), told in zip(MISSING, map(json.loads, done.stdout.splitlines()), strict=True):
+        assert told[:2] == [words, 2]
+        assert line in told[2] and len(told[2].splitlines()) == 1, told[2]
 
 
 def test_help_shows_what_is_there(core_alone: Path) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import signal
 import subprocess
 import sys
@@ -23,6 +24,7 @@ from recast.viewer import ViewInputs
 from recast_bridges import serve
 from recast_bridges.json_service import JsonService
 from recast_bridges.serve import ServeRequest, served_scenes
+from support.moments import forked
 from support.tiny_served import make_log, make_scene
 
 pytest.importorskip("grpc")
@@ -131,6 +133,29 @@ def command(*words: str) -> Iterator[Callable[[], str]]:
             server.kill()
 
 
+@contextmanager
+def in_a_copy(*words: str) -> Iterator[Callable[[], str]]:
+    """As `command`, in a copy of this process, which has all modules already."""
+    receiving, sending = os.pipe()
+
+    def work() -> None:
+        os.dup2(sending, 1)
+        sys.stdout = os.fdopen(1, "w", buffering=1)
+        signal.signal(signal.SIGINT, signal.default_int_handler)
+        assert main(["serve", *words, "--port", "0", "--threads", "1", "--device", "cpu"]) == 0
+
+    child = forked(work)
+    os.close(sending)
+    try:
+        with os.fdopen(receiving) as stream:
+            yield stream.readline
+        os.kill(child, signal.SIGINT)
+        assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == 0
+    except BaseException:
+        os.kill(child, signal.SIGKILL)
+        raise
+
+
 def test_the_command_serves_until_it_is_interrupted(
     folder: Path, tiny_log_folder: Path, tiny_log: DrivingLog
 ) -> None:
@@ -147,7 +172,7 @@ def test_neuroncap_has_a_port_for_each_scene(
     folder: Path, tiny_log_folder: Path, tiny_log: DrivingLog
 ) -> None:
     words = [f"a={folder}", f"b={folder}", "--log", str(tiny_log_folder)]
-    with command("neuroncap", *words) as line:
+    with in_a_copy("neuroncap", *words) as line:
         for name in ("a", "b"):
             assert line() == f"scene {name}: cameras {', '.join(tiny_log.cameras)}\n"
             place = line().split(";")[0].removeprefix("serving neuroncap at ")
