@@ -77,10 +77,22 @@ def _first(log: DrivingLog) -> list[LidarSweep]:
     return [stream.sweeps[0] for stream in log.lidars.values()]
 
 
+@pytest.fixture(scope="module", params=READERS)
+def reader(request: pytest.FixtureRequest) -> str:
+    name: str = request.param
+    return name
+
+
+@pytest.fixture(scope="module")
+def whole(reader: str, tmp_path_factory: pytest.TempPathFactory) -> list[LidarSweep]:
+    """First sweeps of a drive whose beams all return."""
+    return _first(READERS[reader](tmp_path_factory.mktemp("whole"), lambda places: None))
+
+
 @pytest.mark.parametrize("value", [0.0, np.nan, np.inf], ids=str)
-@pytest.mark.parametrize("reader", READERS)
-def test_a_beam_without_a_return_is_no_point(reader: str, value: float, tmp_path: Path) -> None:
-    whole = _first(READERS[reader](tmp_path / "whole", lambda places: None))
+def test_a_beam_without_a_return_is_no_point(
+    reader: str, whole: list[LidarSweep], value: float, tmp_path: Path
+) -> None:
     log = READERS[reader](tmp_path / "gaps", lambda places: places[::3].__setitem__(..., value))
     kept = total = 0
     for sweep, before in zip(_first(log), whole, strict=True):
