@@ -242,10 +242,8 @@ def test_no_view_at_all_is_refused(street: DrivingLog) -> None:
         observe(street, "7", segmenter=BoxLidarSegmenter(), views=0)
 
 
-def test_making_an_actor_counts_all_named_cameras(
-    street: DrivingLog, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    makers = ActorMakers(TemplateGenerator(spacing=0.1), BoxLidarSegmenter())
+def test_making_an_actor_counts_all_named_cameras(street: DrivingLog, tmp_path: Path) -> None:
+    makers = ActorMakers(TemplateGenerator(spacing=0.2, style="estate"), BoxLidarSegmenter())
     log = with_more_cameras(street)
     actor = make_actor(log, "7", makers, 0, tmp_path, SceneConfig(cameras=("half", "most")))
     assert actor.provenance.camera == "most"

@@ -123,10 +123,10 @@ def test_a_view_of_something_else_is_left_out_and_told() -> None:
     pose = wrong.camera_from_object.copy()
     pose[0, 3] += 1.2  # the box of its neighbour
     shown = replace(first, further=(replace(wrong, camera_from_object=pose),))
-    details = TemplateGenerator(0.05, "hatchback").generate(shown, 0).details
+    details = TemplateGenerator(0.1, "hatchback").generate(shown, 0).details
     assert (details["left_out"], details["views"]) == (1, 1)
     right = replace(first, further=(wrong,))
-    details = TemplateGenerator(0.05, "hatchback").generate(right, 0).details
+    details = TemplateGenerator(0.1, "hatchback").generate(right, 0).details
     assert "left_out" not in details and details["views"] == 2
 
 

@@ -17,7 +17,7 @@ pytestmark = pytest.mark.real_data
 @pytest.fixture(scope="module")
 def drive(kitti_0013: Path) -> DrivingLog:
     labels = kitti_0013 / "tracking_labels" / "0003.txt"
-    return load_kitti(kitti_0013, "2011_09_26_drive_0013", labels, ("image_02",), False)
+    return load_kitti(kitti_0013, "2011_09_26_drive_0013", labels, ("image_02",), False, False)
 
 
 @pytest.mark.parametrize(("track", "style"), [("0", "estate"), ("1", "mpv")])

@@ -74,7 +74,7 @@ def half_cloud(body: TemplateBody, spacing: float = 0.04) -> tuple[np.ndarray, n
     return np.concatenate([one[0] for one in halves]), np.concatenate([one[1] for one in halves])
 
 
-SAMPLED = [(style, seed) for style in STYLES for seed in range(5)]
+SAMPLED = [(style, seed) for style in STYLES for seed in range(3)]
 
 
 @pytest.mark.parametrize(("style", "seed"), SAMPLED)
@@ -207,7 +207,7 @@ def test_cloud_is_symmetric() -> None:
 
 
 def test_same_seed_same_bytes(observation: Observation) -> None:
-    generator = TemplateGenerator(spacing=0.07, style="estate")
+    generator = TemplateGenerator(spacing=0.15, style="estate")
     first, again = generator.generate(observation, 3), generator.generate(observation, 3)
     for name in ("means", "quats", "log_scales", "logit_opacities", "sh"):
         a, b = getattr(first.gaussians, name), getattr(again.gaussians, name)

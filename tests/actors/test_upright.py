@@ -70,18 +70,19 @@ def points_gaussians(points: np.ndarray) -> Gaussians:
 
 @lru_cache
 def vehicle(name: str) -> tuple[np.ndarray, np.ndarray]:
-    """Points (N, 3) of its outer surface in the actor frame, and its size."""
+    """Points (N, 3) of its outer surface in the actor frame, thinned, and its size."""
     source, kind = name.split(" ")
     if source == "template":
         size = np.array(SIZES[kind])
-        return outer_surface(made_up.car(size, style=kind)).points, size
+        points = outer_surface(made_up.car(size, style=kind)).points
+        return points[:: max(1, len(points) // 4000)], size
     rng = np.random.default_rng([13, KINDS.index(kind)])
     model = sample_vehicle(rng, kind)
     corners = model.surface.vertices[model.surface.faces]
     edges = corners[:, 1:] - corners[:, :1]
     areas = np.linalg.norm(np.cross(edges[:, 0], edges[:, 1]), axis=1)
-    chosen = rng.choice(len(areas), 12_000, p=areas / areas.sum())
-    shares = np.sort(rng.random((12_000, 2)), axis=1)
+    chosen = rng.choice(len(areas), 4000, p=areas / areas.sum())
+    shares = np.sort(rng.random((4000, 2)), axis=1)
     weights = np.column_stack([shares[:, 0], np.diff(shares, axis=1)[:, 0]])
     points = corners[chosen, 0] + np.einsum("nk,nkc->nc", weights, edges[chosen])
     return outer_surface(points_gaussians(points)).points, np.asarray(model.size)

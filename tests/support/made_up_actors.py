@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 import torch
 
 from recast.actors.template.body import TemplateBody
-from recast.actors.template.cloud import build_cloud
+from recast.actors.template.cloud import SurfaceCloud, build_cloud
 from recast.actors.template.design import STYLES
 from recast.actors.template.generator import vehicle_gaussians
 from recast.cameras import PinholeCamera
@@ -30,10 +31,20 @@ RIG_FROM_CAMERA = se3.from_rotation_translation(
 
 
 def car(size: np.ndarray = SIZE, paint: np.ndarray = RED, style: str = "estate") -> Gaussians:
-    """A coarse template car in the actor frame, nothing photographed."""
-    body = TemplateBody(size, STYLES[style])
+    """A coarse template car in the actor frame, nothing photographed; made once, to be read."""
+    return _car(tuple(size), tuple(paint), style)
+
+
+@cache
+def _car(size: tuple[float, ...], paint: tuple[float, ...], style: str) -> Gaussians:
+    body = TemplateBody(np.array(size), STYLES[style])
     cloud = build_cloud(body, 0.04, np.random.default_rng(0))
-    return vehicle_gaussians(body, cloud, gamma_to_linear(paint))
+    return vehicle_gaussians(body, cloud, gamma_to_linear(np.array(paint)))
+
+
+@cache
+def _met_by_lidar() -> SurfaceCloud:
+    return build_cloud(TemplateBody(SIZE, STYLES["estate"]), 0.04, np.random.default_rng(1))
 
 
 def car_poses() -> np.ndarray:
@@ -48,7 +59,7 @@ def car_poses() -> np.ndarray:
 
 def lidar_hits(rng: np.random.Generator, eye: np.ndarray, count: int = 1500) -> np.ndarray:
     """Points (N, 3) on the car's body and wheels that face `eye`, actor frame, 1 cm noise."""
-    cloud = build_cloud(TemplateBody(SIZE, STYLES["estate"]), 0.04, np.random.default_rng(1))
+    cloud = _met_by_lidar()
     points = cloud.points - [0.0, 0.0, SIZE[2] / 2]
     facing = np.flatnonzero(np.sum(cloud.normals * (eye - points), axis=1) > 0.3)
     chosen = points[rng.choice(facing, count, replace=False)]

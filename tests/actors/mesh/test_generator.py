@@ -59,8 +59,8 @@ def alpha_through(gaussians: Gaussians) -> np.ndarray:
 @pytest.mark.parametrize("alpha", [0.1, 0.35, 0.6, 0.9])
 def test_a_pane_lets_through_what_its_alpha_says(alpha: float) -> None:
     """Two faces are one layer. The rasterizer leaves out tails below 1/255, here two or three."""
-    pane = of_box([-1, -1, 0], [1, 1, 0.004], (0.5, 0.5, 0.5, alpha))
-    body = of_box([-1, -1, -9.0], [1, 1, -8.9], (0.5, 0.5, 0.5, 1.0))
+    pane = of_box([-0.4, -0.4, 0], [0.4, 0.4, 0.004], (0.5, 0.5, 0.5, alpha))
+    body = of_box([-0.4, -0.4, -3.6], [0.4, 0.4, -3.56], (0.5, 0.5, 0.5, 1.0))
     samples, _ = sample([pane, body], 0.01)
     seen = outside(samples)
     glass = seen.samples.alpha < 1
@@ -71,7 +71,7 @@ def test_a_pane_lets_through_what_its_alpha_says(alpha: float) -> None:
 
 
 def test_what_is_opaque_has_no_holes() -> None:
-    samples, _ = sample([of_box([-1, -1, -1], [1, 1, 0], (0.5, 0.5, 0.5, 1.0))], 0.01)
+    samples, _ = sample([of_box([-0.4, -0.4, -0.4], [0.4, 0.4, 0], (0.5, 0.5, 0.5, 1.0))], 0.01)
     assert alpha_through(surfels(outside(samples), CLEAR_DAY)).min() > 0.97
 
 
@@ -110,9 +110,9 @@ def test_a_noisy_texture_does_not_make_a_gaussian_of_every_texel(
 def open_box() -> list[Triangles]:
     """White walls a millimetre thin, and a lid of glass."""
     white = MeshMaterial(np.ones(4))
-    corners, faces = box([-1, -1, -1], [1, 1, 0])
+    corners, faces = box([-0.5, -0.5, -0.5], [0.5, 0.5, 0])
     walls = np.array([f for f in faces if corners[f][:, 2].min() < 0])
-    lid = of_box([-1, -1, 0], [1, 1, 0.01], (1.0, 1.0, 1.0, 0.1))
+    lid = of_box([-0.5, -0.5, 0], [0.5, 0.5, 0.01], (1.0, 1.0, 1.0, 0.1))
     return [Triangles(corners[walls].astype(np.float64), None, None, white), lid]
 
 

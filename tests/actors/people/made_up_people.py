@@ -20,7 +20,7 @@ from recast.scene.actor import look_at
 from recast.scene.deformation import Gait
 from recast.splats import Gaussians
 
-CAMERA = PinholeCamera(96, 128, 330.0, 330.0, 48.0, 64.0)
+CAMERA = PinholeCamera(72, 96, 247.5, 247.5, 36.0, 48.0)
 WALKER = PersonShape(1.72, girth=1.1, cycle=1.25)
 BOX = np.array([1.1, 0.6, 1.71])
 RIDER = PersonShape(1.72, bicycle=1.75, top=1.68, cycle=5.0)
@@ -41,12 +41,12 @@ def body(shape: PersonShape, size: np.ndarray) -> tuple[Gaussians, Gait]:
     return gaussians, gait_of(surface, pose, shape.cycle, PHASE, NOWHERE)
 
 
-def views(shape: PersonShape, size: np.ndarray, count: int = 10) -> list[PersonView]:
+def views(shape: PersonShape, size: np.ndarray, count: int = 7) -> list[PersonView]:
     """Images before a plain wall over four metres of way, from its right and left."""
     gaussians, gait = body(shape, size)
     found = []
     for number in range(count):
-        turn = np.radians(-100 + 20 * number)
+        turn = np.radians(-100 + 200 * number / count)
         pose = look_at(6.0 * np.array([np.cos(turn), np.sin(turn), 0.1]), np.zeros(3))
         gone = 4.0 * number / count
         wall = torch.full((CAMERA.height, CAMERA.width, 3), BEHIND)

@@ -69,8 +69,8 @@ def test_a_mask_of_what_hides_a_person_is_not_trusted() -> None:
     seen = made_up.views(made_up.WALKER, made_up.BOX)
     hidden = [replace(one, trust=one.trust.copy(), mask=one.mask.copy()) for one in seen]
     for view in hidden:
-        view.mask[80:] = 0.0  # a wall before the legs
-        view.trust[80:] = 0.0
+        view.mask[60:] = 0.0  # a wall before the legs
+        view.trust[60:] = 0.0
     fit, _ = fit_person(hidden, made_up.BOX, False)
     assert fit.shape.height == pytest.approx(made_up.WALKER.height, rel=0.06)
     assert np.abs(fit.place).max() < 0.1
@@ -79,9 +79,9 @@ def test_a_mask_of_what_hides_a_person_is_not_trusted() -> None:
 
 def test_a_large_image_is_compared_smaller() -> None:
     view = made_up.views(made_up.WALKER, made_up.BOX)[3]
-    small = view.shrunk(64)
-    assert small.mask.shape == (64, 48) == tuple(small.through.shape)
-    assert small.image.shape == small.back.shape == small.front.shape == (64, 48, 3)
+    small = view.shrunk(48)
+    assert small.mask.shape == (48, 36) == tuple(small.through.shape)
+    assert small.image.shape == small.back.shape == small.front.shape == (48, 36, 3)
     assert small.camera.fx == pytest.approx(view.camera.fx / 2)
     assert small.mask.mean() == pytest.approx(view.mask.mean(), abs=1e-3)
-    assert view.shrunk(128) is view
+    assert view.shrunk(96) is view

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import cv2
 import numpy as np
@@ -14,6 +15,7 @@ from recast.actors.people.body import (
     DEVELOPMENT,
     STRIDE,
     WHEEL_RADIUS,
+    BodySurface,
     PersonShape,
     surface_of,
 )
@@ -71,13 +73,19 @@ def shape_in(size: Array, cyclist: bool) -> PersonShape:
     return PersonShape(1.01 * height, cycle=STRIDE * height)
 
 
+@lru_cache(maxsize=4)
+def _coarse_surface(shape: PersonShape) -> BodySurface:
+    """The coarse body, kept while its place alone is moved. Not to be changed."""
+    return surface_of(shape, _COARSE)
+
+
 class _Drawn:
     """A coarse body in views, at any phase; white, or in the colours (R, 3) of its regions."""
 
     def __init__(
         self, shape: PersonShape, size: Array, place: Array, colours: Tensor | None = None
     ) -> None:
-        self.surface, self._cycle = surface_of(shape, _COARSE), shape.cycle
+        self.surface, self._cycle = _coarse_surface(shape), shape.cycle
         self._weight = 0.0 if colours is None else _COLOUR
         pose = box_from_body(size, place)
         white = np.ones((len(self.surface.points), 3))
