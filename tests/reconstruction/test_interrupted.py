@@ -16,6 +16,8 @@ from support.children import KILL, Ended, Fault, command
 from support.tiny_street import TINY
 from support.unbroken import Unbroken, unbroken
 
+pytestmark = pytest.mark.whole
+
 CONFIG = TINY.model_copy(update={"iterations": 40, "checkpoint_every": 8, "densify_every": 12})
 REFUSED = {errno.ENOSPC: "no space left", errno.EROFS: "read-only", errno.EACCES: "denied"}
 

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import json
+import os
 import shutil
 from dataclasses import replace
 from pathlib import Path
@@ -18,7 +19,8 @@ from recast.reconstruction.settings import OPTIM
 from recast.reconstruction.train import WORK_FOLDER
 from recast.reconstruction.views import choose_actors, read_views
 from recast.scene import SceneRasterizer
-from recast.scene.store import read_tensors, write_tensors
+from recast.scene.store import read_tensors, save_scene, write_tensors
+from support.moments import said_on_a_read_only_disk
 from support.tiny_street import TINY, KilledError, contents
 
 
@@ -194,6 +196,21 @@ def test_a_folder_of_another_log_is_refused(trained: TrainResult, tiny_log: Driv
     moved = replace(tiny_log, world_offset=tiny_log.world_offset + 1)
     with pytest.raises(InputError, match="in another state"):
         train_scene(moved, trained.folder, TINY)
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="a read-only disk is tried in a fork")
+def test_a_read_only_disk_is_one_line(
+    trained: TrainResult, tiny_log: DrivingLog, tmp_path: Path
+) -> None:
+    """Of every moment of a command, see `test_interrupted`."""
+    out = tmp_path / "out"
+    out.mkdir()
+    for work in (
+        lambda: train_scene(tiny_log, out / "scene", TINY),
+        lambda: save_scene(trained.scene, out / "copy"),
+    ):
+        assert "read-only" in said_on_a_read_only_disk(work, out)
+    assert list(out.iterdir()) == []
 
 
 def test_a_folder_with_strangers_is_refused(tiny_log: DrivingLog, tmp_path: Path) -> None:
