@@ -221,7 +221,7 @@ def test_impossible_scenarios_are_told_apart(log: Path, tmp_path: Path) -> None:
 def test_a_version_that_fails_anew_is_told_and_ends_with_code_1(
     log: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    options = ("--arm", "native", "--design", "sobol")
+    options = ("--arm", "native", "--design", "sobol", "--trials", "8")
     before, after = tmp_path / "before", tmp_path / "after"
     assert main(command(log, before, *options)) == 0
     planner = ("--planner", "constant-velocity")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 import signal
 import subprocess
 import sys
@@ -14,6 +15,7 @@ import pytest
 
 from recast.core import open_store
 from recast.core.errors import InputError
+from recast.core.files import write_json
 from recast.dynamics import PACIFICA
 from recast.planning.gtrs import PRIMITIVES
 from recast.planning.gtrs.expert import score_trajectories, touched
@@ -26,6 +28,7 @@ from recast_tools.planner_data.drive import MOMENTS, SampleDrive, begin_drive
 from recast_tools.planner_data.stage import SampleStage, make_stage
 from recast_tools.planner_training.samples import (
     DRIVE_KINDS,
+    RECORD_FILE,
     RENDERERS,
     DatasetRecord,
     DriveKind,
@@ -42,6 +45,14 @@ RECORD = DatasetRecord(per_world=2, speeds=1, seconds=14.0, scenes=("roundabout-
 @pytest.fixture(scope="module")
 def stage() -> SampleStage:
     return make_stage("roundabout-approach", FIRST_SEED, 14.0)
+
+
+@pytest.fixture(scope="module")
+def expert(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A dataset of one world, driven by the expert."""
+    folder = tmp_path_factory.mktemp("expert") / "data"
+    assert make_dataset(folder, 1, RECORD) == 2
+    return folder
 
 
 def drives(
@@ -119,9 +130,8 @@ def test_an_expert_gets_through_most_drives(stage: SampleStage) -> None:
     assert good >= 0.9 * moments
 
 
-def test_a_dataset_of_one_world(tmp_path: Path) -> None:
-    out = tmp_path / "data"
-    assert make_dataset(out, 1, RECORD) == 2
+def test_a_dataset_of_one_world(expert: Path, tmp_path: Path) -> None:
+    out = Path(shutil.copytree(expert, tmp_path / "data"))
     store = SampleStore(out)
     assert store.image(0).shape == (128, 512, 3)
     assert store.image(0).std() > 10
@@ -235,22 +245,22 @@ def test_killed_and_repeated_it_has_the_same_bytes(tmp_path: Path) -> None:
             assert other.read_bytes() == path.read_bytes()
 
 
-def test_a_planner_may_drive_and_datasets_go_together(tmp_path: Path) -> None:
+def test_a_planner_may_drive_and_datasets_go_together(expert: Path, tmp_path: Path) -> None:
     """Every second drive is the planner's; the training takes both folders as one."""
     record = RECORD.model_copy(update={"driver": "of-the-weights"})
     driver = shipped_folder("gtrs-mini")
-    make_dataset(tmp_path / "expert", 1, RECORD)
     make_dataset(tmp_path / "planner", 1, record, driver=driver)
-    both = SampleStore(tmp_path / "expert", tmp_path / "planner")
+    both = SampleStore(expert, tmp_path / "planner")
     assert len(both) == 4
-    parts = [SampleStore(tmp_path / name) for name in ("expert", "planner")]
+    parts = [SampleStore(folder) for folder in (expert, tmp_path / "planner")]
     np.testing.assert_array_equal(both.image(3), parts[1].image(1))
     twins = np.flatnonzero(both.twin >= 0)
     np.testing.assert_array_equal(both.twin[both.twin[twins]], twins)
     paces = PRIMITIVES.model_copy(update={"paces": PRIMITIVES.paces[:3]})
     few = RECORD.model_copy(update={"primitives": paces})
-    make_dataset(tmp_path / "other", 1, few)
+    shutil.copytree(expert, tmp_path / "other")
+    write_json(tmp_path / "other" / RECORD_FILE, few.model_dump(mode="json"))
     with pytest.raises(InputError, match="primitives"):
-        SampleStore(tmp_path / "expert", tmp_path / "other")
+        SampleStore(expert, tmp_path / "other")
     with pytest.raises(InputError, match="settings"):  # of another driver
-        make_dataset(tmp_path / "expert", 1, record, driver=driver)
+        make_dataset(expert, 1, record, driver=driver)
