@@ -72,8 +72,11 @@ def _plain(value: object) -> object:
         return tuple(map(_plain, value))
     if not isinstance(value, ast.AST):
         return value
-    fields = ((name, inner) for name, inner in ast.iter_fields(value) if inner not in (None, []))
-    return (type(value).__name__, *((name, _plain(inner)) for name, inner in fields))
+    parts: list[object] = [type(value).__name__]
+    for name, inner in ast.iter_fields(value):
+        if inner is not None and (inner or inner != []):
+            parts.append((name, _plain(inner)))
+    return tuple(parts)
 
 
 @cache
