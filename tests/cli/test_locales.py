@@ -29,6 +29,7 @@ from recast.core.table_files import check_batches, read_parquet, write_parquet
 
 drive, out = sys.argv[1:]
 words = "import", "kitti", drive, "--drive", "{DRIVE}", "--labels", drive + "/labels.txt"
+words = (*words, "--no-refine")
 assert main(["log", *words, "--out", out + "/log"]) == 0
 assert main(["log", "info", out + "/log"]) == 0
 assert main(["log", "info", out + "/none"]) == 2

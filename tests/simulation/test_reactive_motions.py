@@ -119,7 +119,7 @@ def follow(lead: list[ActorState], motion: Idm, log: DrivingLog) -> NDArray:
     return np.array(states)
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=12, deadline=None)
 @given(
     speed=st.floats(1.0, 12.0),
     gap=st.floats(8.0, 40.0),
