@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import pickle
 import subprocess
 import sys
 import warnings
@@ -11,7 +12,7 @@ import gymnasium
 import numpy as np
 import pytest
 from gymnasium.utils.env_checker import check_env
-from gymnasium.vector import AsyncVectorEnv
+from gymnasium.vector import AsyncVectorEnv, SyncVectorEnv
 
 from recast.cameras import CameraMount, PinholeCamera
 from recast.core.errors import InputError
@@ -309,25 +310,27 @@ def test_before_a_reset_nothing_steps() -> None:
         env_of().step(straight(1.0))
 
 
+@pytest.mark.parametrize("processes", [False, pytest.param(True, marks=pytest.mark.whole)])
 @pytest.mark.filterwarnings("ignore::DeprecationWarning")
-def test_four_of_them_in_processes_of_their_own(tmp_path: Path) -> None:
+def test_several_at_once_and_in_processes_of_their_own(processes: bool, tmp_path: Path) -> None:
     """Each loads the log itself; agents here drive them by observations alone."""
     log = replace(drive(seconds=8), cameras={})
     write_log(log, tmp_path / "log")
     names = ("cut-in-a", "advancing-a", "stationary-a", "oncoming-a")
-    envs = AsyncVectorEnv(
-        [
-            partial(
-                DrivingEnv,
-                str(tmp_path / "log"),
-                actors={"7": name},
-                settings=RolloutSettings(steps=30),
-                terminate=(),
-            )
-            for name in names
-        ],
-        context="spawn",
-    )
+    makers = [
+        partial(
+            DrivingEnv,
+            str(tmp_path / "log"),
+            actors={"7": name},
+            settings=RolloutSettings(steps=30),
+            terminate=(),
+        )
+        for name in names
+    ]
+    if processes:
+        envs = AsyncVectorEnv(makers, context="spawn")
+    else:
+        envs = SyncVectorEnv(pickle.loads(pickle.dumps(makers)))
     try:
         observation, _ = envs.reset(seed=5)
         assert observation["ego"].shape == (4, 11)
