@@ -54,6 +54,8 @@ MISSING = (
 )
 """Commands, and what they say."""
 EACH = """
+import recast
+print(*[getattr(recast, name) and name for name in dir(recast)])
 import contextlib, io, json
 from recast.cli.main import main
 for words in sys.argv[1:]:
@@ -61,15 +63,13 @@ for words in sys.argv[1:]:
     with contextlib.redirect_stderr(said):
         code = main(words.split())
     print(json.dumps([words, code, said.getvalue()]))
-import recast
-print(*[getattr(recast, name) and name for name in dir(recast)])
 """
 
 
 def test_what_is_missing_is_one_line_and_the_public_api_is_whole(core_alone: Path) -> None:
     done = ran(core_alone, EACH, *(words for words, _ in MISSING))
     assert done.returncode == 0, done.stderr
-    *commands, names = done.stdout.splitlines()
+    names, *commands = done.stdout.splitlines()
     for (words, line), told in zip(MISSING, map(json.loads, commands), strict=True):
         assert told[:2] == [words, 2]
         assert line in told[2] and len(told[2].splitlines()) == 1, told[2]

@@ -116,7 +116,7 @@ def test_what_can_be_replaced_comes_before_what_cannot() -> None:
     assert [track.why.split(";")[0] for track in found[3:]] == [
         f"has {FEWEST_POINTS - 1} LiDAR points, {FEWEST_POINTS} are needed",
         "is not visible in any image",
-        "is no car, van, truck or bus, pedestrian or cyclist",
+        "is not a car, van, truck, bus, pedestrian or cyclist",
     ]
 
 

@@ -140,11 +140,11 @@ def test_a_vehicle_without_shares_and_a_street_without_scores_are_named() -> Non
     assert found.values["without_shares"] == 1.0
     for name in (*SHARES, "held_out_psnr_db", "held_out_ssim"):
         assert name not in found.values
-    assert found.missing["invented"] == "the vehicle's shares were not measured"
+    assert found.missing["invented"] == "the target's shares were not measured"
     assert found.missing["held_out_ssim"] == "the street has no held-out scores"
     assert set(found.values) | set(found.missing) == set(FEATURES)
     hidden = features(rollout(), RolloutCoverage((shown(0, 0.0, 0.0, 0.0),)))
-    assert hidden.missing["seen"] == "no image shows the vehicle"
+    assert hidden.missing["seen"] == "no image shows the target"
 
 
 def test_quality_is_that_of_the_nearest_held_out_frames() -> None:
@@ -180,7 +180,7 @@ def test_how_the_vehicle_is_shown(yaw: float, side: str) -> None:
 def test_no_camera_shows_the_vehicle() -> None:
     found = features(rollout(actor_y=0.0, ahead=-30.0))
     assert found.view is None and found.values["vehicle_px"] == 0.0
-    assert found.missing["view_angle_deg"] == "no image shows the vehicle"
+    assert found.missing["view_angle_deg"] == "no image shows the target"
 
 
 def test_verdicts_that_noise_flips() -> None:

@@ -227,16 +227,16 @@ VALUES = {"collision": 0.0, "gap_m": 0.4, "plan_change_m": 3.2, "without_shares"
 def test_words_name_the_steps_and_what_is_not_known() -> None:
     calibration = packaged_calibration()
     view = VehicleView(900.0, "front", 74.2)
-    missing = {"invented": "the vehicle's shares were not measured", "least_ttc_s": "why"}
+    missing = {"invented": "the target's shares were not measured", "least_ttc_s": "why"}
     features = TrustFeatures(VALUES, missing, 35, 60, view, None)
     trust = judge(features, calibration)
     assert trust.value == calibration.model.trust(VALUES)
     assert (
-        "of 10 verdicts like this one are right: at the plan that mattered (step 35) the vehicle "
+        "of 10 verdicts like this one are right: at the plan that mattered (step 35) the target "
         "was seen from its front (74° from the nearest view in the log)." in trust.words
     )
     assert "step 35 (the plan changed by 3.2 m) and step 60 (smallest gap, 0.4 m)" in trust.words
-    assert "Not known: the vehicle's shares were not measured." in trust.words
+    assert "Not known: the target's shares were not measured." in trust.words
     assert list(trust.steps) == [35, 60]
     told = trust.to_json()
     assert told["features"] == {name: VALUES.get(name) for name in FEATURES}
@@ -245,5 +245,5 @@ def test_words_name_the_steps_and_what_is_not_known() -> None:
     shown = replace(features, coverage=coverage)
     assert "from its front (62% invented, 8% mirrored)." in judge(shown, calibration).words
     unseen = replace(features, view=None)
-    assert "no camera showed the vehicle" in judge(unseen, calibration).words
+    assert "no camera showed the target" in judge(unseen, calibration).words
     assert SIGHTLESS.to_json()["value"] == 1.0

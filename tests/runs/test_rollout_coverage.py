@@ -92,7 +92,7 @@ def test_metrics_have_the_means(tmp_path: Path) -> None:
     assert replaced["coverage"]["all"]["invented"] == measured.mean.invented
     assert replaced["coverage"]["all"]["images"] == len(measured.images)
     assert 0 < native["trust"]["value"] < 1
-    assert native["trust"]["missing"]["seen"] == "the vehicle's shares were not measured"
+    assert native["trust"]["missing"]["seen"] == "the target's shares were not measured"
     assert replaced["trust"]["features"]["seen"] == pytest.approx(measured.mean.seen)
     assert "invented" in replaced["trust"]["words"] and "seen" not in replaced["trust"]["missing"]
     record = json.loads((tmp_path / METRICS_FILE).read_text())

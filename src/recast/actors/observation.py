@@ -334,9 +334,9 @@ class MaskQuality:
     def explain(self) -> str:
         """One line with the shares, then the segmenter's notes, a line each."""
         inside = (
-            f"{self.lidar_inside:.0%} of the vehicle's LiDAR points in it"
+            f"{self.lidar_inside:.0%} of the target's LiDAR points in it"
             if np.isfinite(self.lidar_inside)
-            else "no LiDAR points of the vehicle"
+            else "no LiDAR points of the target"
         )
         shares = (
             f"mask: fills {self.box_coverage:.0%} of the projected box, touches "
@@ -365,7 +365,7 @@ class MaskQuality:
             found.append(f"mask touches {self.border_contact:.0%} of the crop's border")
         if self.lidar_inside < _LIDAR_SHARE:
             found.append(
-                f"only {self.lidar_inside:.0%} of the vehicle's LiDAR points are in the mask"
+                f"only {self.lidar_inside:.0%} of the target's LiDAR points are in the mask"
             )
         if self.lidar_outside < _LIDAR_SHARE:
             found.append(

@@ -296,7 +296,8 @@ class TrackInfo:
         seconds: time from the first to the last label.
         displacement: diagonal of the axis-aligned box around all its places.
         lidar_points: LiDAR points in the box over all sweeps.
-        usable: whether it is a vehicle that a camera and the LiDAR saw well enough to replace it.
+        usable: whether a camera and the LiDAR saw it well enough to replace it, and its category is
+            one that can be replaced. Boxes that no car or person has are refused later.
         why: the evidence in words, or what is missing.
     """
 
@@ -411,7 +412,7 @@ def ranked(tracks: Sequence[TrackInfo]) -> tuple[TrackInfo, ...]:
 def _rated(track: TrackInfo) -> TrackInfo:
     seen, points = track.visibility, track.lidar_points
     if track.category not in (*VEHICLES, *PEOPLE):
-        return replace(track, why="is no car, van, truck or bus, pedestrian or cyclist")
+        return replace(track, why="is not a car, van, truck, bus, pedestrian or cyclist")
     if seen.frames == 0:
         return replace(track, why="is not visible in any image")
     if not seen.whole:

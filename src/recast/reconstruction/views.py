@@ -344,9 +344,9 @@ def _ground(
 
 
 def deforms(track: Track, config: SceneConfig) -> bool:
-    """Whether an actor is a deformable node: with `deformable`, people and cyclists that move."""
+    """Whether an actor is a deformable node: with `deformable`, people and riders that move."""
     moving = not stands(track.trajectory)
-    return config.deformable and track.category in PEOPLE and moving
+    return config.deformable and track.category in (*PEOPLE, "motorcyclist") and moving
 
 
 def visible_rectangle(size: Array, world_from_box: Array, view: TrainingView) -> Array | None:

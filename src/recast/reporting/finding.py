@@ -150,8 +150,8 @@ def _ending(metrics: RolloutMetrics) -> tuple[str, str]:
     ahead = rollout.actor[nearest, :2] - rollout.ego[nearest, :2]
     before = float(ahead @ np.array([np.cos(heading), np.sin(heading)])) > 0
     if before and rollout.ego[nearest, ego.VX] < _STANDING:
-        return f"stops {{}} m before the {rollout.category}{off}", gap
-    return f"comes within {{}} m of the {rollout.category}, without contact{off}", gap
+        return f"stops {{}} m before the {rollout.noun}{off}", gap
+    return f"comes within {{}} m of the {rollout.noun}, without contact{off}", gap
 
 
 def _telling(run: ReportInputs, scenario: ScenarioPart) -> tuple[int, float]:

@@ -249,7 +249,7 @@ def listed(names: Sequence[str]) -> str:
 
 
 def vehicles(labels: Sequence[str]) -> str:
-    """Labels of arms as in a sentence: "the replaced and the true vehicle"."""
+    """One or more labels of arms as in a sentence: "the replaced and the true vehicle"."""
     noun = f" {labels[0].rpartition(' ')[2]}"
     if noun[1:] not in (ANY_VEHICLE, *PEOPLE) or not all(label.endswith(noun) for label in labels):
         return listed(list(labels))

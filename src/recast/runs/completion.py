@@ -32,13 +32,13 @@ _NEAR = 30.0
 def makeable(generators: Iterable[str]) -> tuple[str, ...]:
     """Categories of tracks that all generators of some names make: files, libraries and models hold
     vehicles; what code of users' own makes is not known, so that it may be all."""
-    found: tuple[str, ...] = (*VEHICLES, *PEOPLE)
+    found: tuple[str, ...] = (*VEHICLES, *PEOPLE, *_UNMADE)
     for name in generators:
         known = GENERATORS.is_own(name) or name.startswith(tuple(GENERATORS.prefixes))
         known = known or GENERATORS.place(name) is not None
-        if known and name != DEFAULT_GENERATOR:
-            own = PEOPLE if name == PEOPLE_GENERATOR else VEHICLES
-            found = tuple(one for one in found if one in own)
+        if known:
+            own = {PEOPLE_GENERATOR: PEOPLE, DEFAULT_GENERATOR: (*VEHICLES, *PEOPLE)}
+            found = tuple(one for one in found if one in own.get(name, VEHICLES))
     return found
 
 
@@ -141,7 +141,8 @@ def choose_completed(
     asked = [key for key in _asked(log, words) if key not in (*named, target)]
     wide = [key for key in asked if log.tracks[key].category in makes]
     points = all_track_points(log, {key: log.tracks[key] for key in (*named, *wide)})
-    whys = {key: _why_not(log, key, len(own.points), config) for key, own in points.items()}
+    known = all(GENERATORS.is_own(name) for name in generators)
+    whys = {key: _why_not(log, key, len(own.points), config, known) for key, own in points.items()}
     for key in named:
         if whys[key] is not None:
             raise InputError("`complete`", f"track {key}", str(whys[key]), "leave it out")
@@ -158,9 +159,12 @@ def choose_completed(
     )
 
 
-def _why_not(log: DrivingLog, key: str, points: int, config: SceneConfig) -> str | None:
+def _why_not(
+    log: DrivingLog, key: str, points: int, config: SceneConfig, known: bool
+) -> str | None:
     try:
-        _require_box(log.tracks[key])
+        if known:  # users' own code may make what recast's does not
+            _require_box(log.tracks[key])
     except InputError as error:
         return error.problem
     return why_not_seen(log, key, points, config)

@@ -22,7 +22,7 @@ from recast.logs.types import PEOPLE
 from recast.reconstruction import train_scene
 from recast.reconstruction.config import SceneConfig
 from recast.reconstruction.evaluate import evaluate_scene
-from recast.reconstruction.train import FREE_FIELDS
+from recast.reconstruction.train import CONFIG_FILE, FREE_FIELDS, read_training_config
 from recast.runs.actor import (
     ActorMakers,
     compare_with_truth,
@@ -122,9 +122,7 @@ def train_street(maker: Maker, source: SourceLog, config: SceneConfig, name: str
         "config": config.model_dump(mode="json", exclude=set(FREE_FIELDS)),
         "recipe": RECIPES["scene"],
     }
-    bodies = [Path(path) for path in (config.smpl_model, config.smpl_poses) if path]
-    if bodies:  # a missing one ends the training
-        inputs["bodies"] = [file_hash(path) for path in bodies if path.is_file()]
+    inputs |= _body_files(config)  # a missing one ends the training
 
     def train(out: Path) -> None:
         with TrainingDisplay(maker.console) as display:
@@ -139,6 +137,13 @@ def train_street(maker: Maker, source: SourceLog, config: SceneConfig, name: str
         f"{name} street of {source.log.name}",
         resumes=True,
     )
+
+
+def _body_files(config: SceneConfig) -> dict[str, Any]:
+    """The files of bodies that a street names, as inputs; none if it names none."""
+    paths = [Path(path) for path in (config.smpl_model, config.smpl_poses) if path]
+    hashes = [file_hash(path) for path in paths if path.is_file()]
+    return {"bodies": hashes} if paths else {}
 
 
 def take_street(maker: Maker, folder: Path) -> Artefact:
@@ -223,11 +228,13 @@ def register_vehicle(
 
 def refine_vehicle(maker: Maker, registered: Artefact, scene: Artefact, seed: int) -> Artefact:
     """A registered vehicle, refined by all images of the log against a street."""
+    trained = (scene.path / CONFIG_FILE).is_file()
     inputs = {
         "actor": registered.reference,
         "scene": scene.reference,
         "seed": seed,
         "recipe": RECIPES["refine"],
+        **(_body_files(read_training_config(scene.path)) if trained else {}),
     }
 
     def make(out: Path) -> None:

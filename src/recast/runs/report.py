@@ -428,7 +428,7 @@ def actor_part(actor: Actor, frame: Path, film: Path | None, log: DrivingLog) ->
                 Fact(
                     "Seen from",
                     f"{np.degrees(provenance.azimuth):.0f} degrees",
-                    "azimuth of the camera about the vehicle: 0 ahead of it, 90 to its left",
+                    "azimuth of the camera about the target: 0 ahead of it, 90 to its left",
                 ),
                 Fact("Sides seen", ", ".join(provenance.sides_seen)),
                 *(Fact("Why this view", line) for line in provenance.observation.splitlines()[:1]),
@@ -455,7 +455,7 @@ def actor_part(actor: Actor, frame: Path, film: Path | None, log: DrivingLog) ->
                 Fact(
                     "Front",
                     ", ".join(f"{k} {v:+.1f}" for k, v in report.front.votes.items()),
-                    "evidence for the heading of the vehicle; negative values: evidence against it",
+                    "evidence for the heading of the target; negative values: evidence against it",
                 ),
                 Fact(
                     f"Within {INLIER_DISTANCE:g} m",

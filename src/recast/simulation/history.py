@@ -15,7 +15,7 @@ from recast.dynamics import state as ego
 from recast.geometry import se2
 from recast.logs import Track, Trajectory
 from recast.logs.motion import logged_velocity
-from recast.logs.types import PEOPLE
+from recast.logs.types import VEHICLES
 from recast.planning import WAYPOINTS, ActorState, ReferenceRoute
 from recast.simulation.actor_motion import EGO, MotionInput, RoadUsers
 from recast.simulation.recorded_road import SMOOTHING, RoadSurface, refuse_if_too_short, who
@@ -197,7 +197,7 @@ class History:
             name=setup.name,
             arm=setup.arm,
             track_id=setup.track_id,
-            category=category if (category := setup.track.category) in PEOPLE else ANY_VEHICLE,
+            category=ANY_VEHICLE if (own := setup.track.category) in VEHICLES else own,
             motion=setup.motion.name,
             setting=setup.motion.setting,
             planner=planner,

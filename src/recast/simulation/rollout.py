@@ -16,6 +16,7 @@ from recast.core.brief import Brief
 from recast.dynamics import EgoState
 from recast.dynamics.state import COLUMNS
 from recast.logs.checks import BOX_SIDE, LATEST_US, NAME_LIMIT, WORLD_REACH, check_poses, check_text
+from recast.logs.types import PEOPLE
 from recast.planning import WAYPOINTS
 
 if TYPE_CHECKING:
@@ -186,7 +187,7 @@ def check_limited(where: str, text: str, limit: int) -> None:
 
 
 ANY_VEHICLE = "vehicle"
-"""Category of a target that is no person, whatever kind of vehicle it is."""
+"""Category of a target that is a car, van, truck or bus."""
 EGO_COLUMNS = COLUMNS
 """Columns of `Rollout.ego`: rear axle; pose in the world, the rest in the ego frame, SI units."""
 
@@ -215,7 +216,8 @@ class Rollout(Brief):
         arm: what rendered the actor ("native", "recast", ...); the states of a scripted actor do
             not depend on it.
         track_id: the target, the first controlled actor.
-        category: "pedestrian" or "cyclist" of a target that is one; "vehicle" of all others.
+        category: category of the target, see `Track.category`; "vehicle" for "car", "van", "truck"
+            and "bus".
         motion: name of the motion, as in `recast.simulation.motions`, for example "cut-in".
         setting: name of its setting, for example "a".
         planner: the planner's name.
@@ -282,6 +284,11 @@ class Rollout(Brief):
     def __getstate__(self) -> dict[str, Any]:
         # Another process neither needs the log nor can use the renderer.
         return {**self.__dict__, "origin": None}
+
+    @property
+    def noun(self) -> str:
+        """What the target is called in sentences: pedestrian, cyclist or vehicle."""
+        return self.category if self.category in PEOPLE else ANY_VEHICLE
 
     @property
     def further(self) -> tuple[ControlledActor, ...]:

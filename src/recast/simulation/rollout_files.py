@@ -63,7 +63,7 @@ class ActorHeader(Record):
 class RolloutHeader(Record):
     """The scalars of a `Rollout`, whose `validate` has their ranges; `version` guards against
     readers of another layout. Empty `controlled` and `reactive` are not written, nor is the
-    category of a vehicle."""
+    category "vehicle"."""
 
     format: Literal["recast-rollout"] = "recast-rollout"
     version: Literal[2] = VERSION

@@ -99,12 +99,11 @@ def track_evidence(log: DrivingLog, track_id: str, actor: Actor | None = None) -
 
 def actor_lines(actor: Actor) -> list[str]:
     """Generator of an actor, and the shares of its Gaussians by where they come from."""
-    lines = [f"replaced by a vehicle made by {actor.provenance.generator}"]
+    lines = [f"replaced, made by {actor.provenance.generator}"]
     if actor.shares is not None:
         seen, mirrored, invented = actor.shares.columns.mean(dim=0).tolist()
         lines.append(
-            f"Gaussians of the vehicle: {seen:.0%} seen, {mirrored:.0%} mirrored, "
-            f"{invented:.0%} invented"
+            f"Gaussians: {seen:.0%} seen, {mirrored:.0%} mirrored, {invented:.0%} invented"
         )
     return lines
 

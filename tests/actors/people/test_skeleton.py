@@ -421,3 +421,22 @@ def test_without_a_usable_skeleton_the_body_is_ours_and_the_report_says_so(
     assert len(provenance.refinement.notes) == 1 and note in provenance.refinement.notes[0]
     assert provenance.refinement.notes[0] in provenance.refinement.explain()
     assert "body" not in provenance.details
+
+
+@pytest.mark.parametrize("losses", [(0.2, 0.3, 0.4), (0.3, 0.25, 0.2)])
+def test_a_skeleton_that_the_images_do_not_prefer_is_told(
+    losses: tuple[float, float, float], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    """Losses of the parametric body, of the skeleton and of one crop."""
+    fit = PersonFit(made_up.WALKER, np.zeros(2), 0.0, 0.2)
+    monkeypatch.setattr(generator, "fit_person", lambda views, *_: (fit, views))
+    monkeypatch.setattr(clothes, "_PATCH_STEPS", 1)
+    monkeypatch.setattr(clothes, "_REGION_STEPS", 1)
+    told = iter(losses)
+    monkeypatch.setattr(generator, "_judged", lambda *_: next(told))
+    provenance = followed(street(person(walk(4.0, 40)), tmp_path / "street"), images=5).provenance
+    assert provenance.refinement is not None
+    [note] = provenance.refinement.notes
+    assert f"differ by {losses[1]:.3f} with it and by {min(losses):.3f} without" in note
+    assert provenance.refinement.kept is (losses[0] < losses[2])
+    assert "body" not in provenance.details

@@ -14,7 +14,12 @@ from recast.planning.gtrs.perception import COLUMN_SCALES, LOOKS_FROM
 from recast.synthetic import make_rig
 from recast_tools.planner_training.samples import COLUMNS, mirror_columns
 from recast_tools.planner_training.targets import COLUMN_VALUES, column_values
-from recast_tools.planner_training.task import HALF_VIEWS, MINI_VIEWS, column_loss
+from recast_tools.planner_training.task import (
+    COLUMN_LOOKS,
+    HALF_VIEWS,
+    MINI_VIEWS,
+    column_loss,
+)
 from support.target_roads import moving
 
 DIRECTIONS = HALF_VIEWS.directions(COLUMNS)
@@ -80,15 +85,14 @@ def test_distances_are_those_of_shapely(seed: int) -> None:
         np.testing.assert_allclose(values[4:], seen, atol=1e-4)
 
 
-@pytest.mark.parametrize("ahead", [8.0, 20.0, 35.0])
+@pytest.mark.parametrize("ahead", [8.0, 20.0, 45.0])
 def test_somebody_between_the_middles_of_two_columns_is_seen(ahead: float) -> None:
-    looks = HALF_VIEWS.directions(4 * COLUMNS).reshape(COLUMNS, 4)
-    np.testing.assert_allclose(looks.mean(axis=1), DIRECTIONS, atol=1e-9)
+    np.testing.assert_allclose(COLUMN_LOOKS.mean(axis=1), DIRECTIONS, atol=1e-9)
     state, missed = make_state(np.zeros(3), 6.0), 0
     for aside in np.arange(-6.0, 6.0, 0.1):
         pose = np.array([ahead, aside, np.pi / 2])
         walker = TargetObstacle("walker", np.stack([pose, pose]), np.array([0.6, 0.5]))
-        found = column_values(state, [walker], looks)
+        found = column_values(state, [walker], COLUMN_LOOKS)
         nearest = int(np.abs(DIRECTIONS - np.arctan2(aside, ahead - LOOKS_FROM)).argmin())
         assert found[nearest, 0] == 1.0 and found[:, 0].sum() <= 3
         away = np.hypot(ahead - LOOKS_FROM, aside)
@@ -124,7 +128,7 @@ def test_right_readings_cost_nothing_and_unseen_motion_neither() -> None:
     assert float(column_loss(read(slow), columns, unknown)) < 1e-6
 
 
-def test_coarser_columns_tell_the_nearest_vehicle() -> None:
+def test_coarser_columns_tell_the_nearest_road_user() -> None:
     columns = torch.zeros(1, 4, len(COLUMN_VALUES))
     columns[0, 0] = torch.tensor([1.0, np.log(30.0), 1, 0, 0, 0])
     columns[0, 1] = torch.tensor([1.0, np.log(9.0), -1, 0, -3, 0])

@@ -140,7 +140,7 @@ def _posed(
 
 
 def dressed_skeleton(body: SkeletonBody, views: Sequence[PersonView]) -> DressedPerson:
-    """A body on a skeleton in the clothes of the views, whose masks are cut about it."""
+    """A body on a skeleton in the clothes of the views, whose masks are cut about it; box frame."""
     surface, pose = body.surface, np.eye(4)
     gait = gait_of(surface, pose, body.cycle, body.phase, NOWHERE)
     cut = outlined(views, _posed(surface, pose, gait, views))
@@ -225,11 +225,11 @@ def follow_person(
         progress(1, 1)
     judges = [views[number] for number in held]
     losses = [_judged(one, judges) for one in found]
-    best, loss_before = int(np.argmin(losses)), _judged(actor, judges)
+    best, loss_before = int(np.nanargmin(losses)), _judged(actor, judges)
     body, place, details = tried[best]
-    if skeleton is not None and best == 0:
+    if skeleton is not None and losses[1] >= (other := min(losses[0], loss_before)):
         told_why = "the held-back images differ by {:.3f} with it and by {:.3f} without"
-        notes = (f"the skeleton is not used: {told_why.format(losses[1], losses[0])}",)
+        notes = (f"the skeleton is not used: {told_why.format(losses[1], other)}",)
     report = Refinement(
         images=len(kept),
         held_back=len(judges),

@@ -170,16 +170,16 @@ class Feature:
 
 
 FEATURES: Mapping[str, Feature] = {
-    "seen": Feature("share of the shown vehicle that the log has images of", 1),
-    "mirrored": Feature("share of the shown vehicle mirrored from its other side", None),
-    "invented": Feature("share of the shown vehicle that the generator invented", -1),
-    "without_shares": Feature("1 if it is unknown which parts of the vehicle were seen", 0),
-    "view_angle_deg": Feature("degrees from the log's views of the vehicle", -1),
+    "seen": Feature("share of the shown target that the log has images of", 1),
+    "mirrored": Feature("share of the shown target mirrored from its other side", None),
+    "invented": Feature("share of the shown target that the generator invented", -1),
+    "without_shares": Feature("1 if it is unknown which parts of the target were seen", 0),
+    "view_angle_deg": Feature("degrees from the log's views of the target", -1),
     "camera_distance_m": Feature("metres from the log's nearest camera pose", -1, True),
     "camera_angle_deg": Feature("degrees from the log's nearest camera pose", -1, True),
     "held_out_psnr_db": Feature("PSNR in dB of the nearest held-out frames", 1),
     "held_out_ssim": Feature("SSIM of the nearest held-out frames", 1),
-    "vehicle_px": Feature("size in pixels of the vehicle at the plan that changed most", 0, True),
+    "vehicle_px": Feature("size in pixels of the target at the plan that changed most", 0, True),
     "plan_change_m": Feature("largest change between plans in metres", -1, True),
     "gap_m": Feature("smallest gap in metres, of a rollout without a collision", 1, True),
     "contact_speed_mps": Feature("relative speed in m/s at the contact, of a collision", 1),
@@ -315,7 +315,7 @@ def _add_shares(
         values.update({name: getattr(mean, name) for name in SHARES})
         return
     reason = (
-        "the vehicle's shares were not measured" if mean is None else "no image shows the vehicle"
+        "the target's shares were not measured" if mean is None else "no image shows the target"
     )
     missing.update(dict.fromkeys(SHARES, reason))
 
@@ -335,9 +335,9 @@ def _add_views(
     }
     shown = [one for several in views.values() for one in several if one.pixels > 0]
     if not shown:
-        missing["view_angle_deg"] = "no image shows the vehicle"
+        missing["view_angle_deg"] = "no image shows the target"
     elif any(one.angle is None for one in shown):
-        missing["view_angle_deg"] = "the log never shows the vehicle well"
+        missing["view_angle_deg"] = "the log never shows the target well"
     else:
         weights = [one.pixels for one in shown]
         angles = [one.angle for one in shown if one.angle is not None]

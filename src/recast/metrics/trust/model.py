@@ -463,7 +463,7 @@ class RolloutTrust:
 SIGHTLESS = RolloutTrust(
     1.0,
     "The planner uses no images, so the verdict does not depend on how the street and the "
-    "vehicle look.",
+    "target look.",
     {},
     None,
     False,
@@ -515,8 +515,8 @@ def _vehicle(features: TrustFeatures) -> str:
     where = f"at the plan that mattered (step {features.changed})"
     view, coverage = features.view, features.coverage
     if view is None:
-        return f"{where} no camera showed the vehicle"
-    told = f"{where} the vehicle was seen from its {view.side}"
+        return f"{where} no camera showed the target"
+    told = f"{where} the target was seen from its {view.side}"
     if coverage is not None and coverage.pixels > 0:
         return f"{told} ({coverage.invented:.0%} invented, {coverage.mirrored:.0%} mirrored)"
     if view.angle is not None:

@@ -19,8 +19,8 @@ ROAD_SCALES = (0.4, 0.06, 0.6, 1.5, 3.0)
 offsets `ROAD_AT` metres on."""
 ROAD_AT = (10.0, 20.0, 30.0)
 STANDS, MOVES = (1.0, 0.5, 1.0, 0.7), (5.0, 2.0)
-"""The same of what a column shows: a vehicle (logit), the logarithm of its distance, cos and sin of
-its heading; and its velocity against the ego ahead and to the left, m/s."""
+"""The same of what a column shows: a road user (logit), the logarithm of its distance, cos and sin
+of its heading; and its velocity against the ego ahead and to the left, m/s."""
 COLUMN_SCALES = (*STANDS, *MOVES)
 LOOKS_FROM = 1.5
 """Metres from the rear axle ahead to where distances are taken from."""

@@ -38,7 +38,6 @@ from recast_tools.planner_data.reconstruction import (
 from recast_tools.planner_data.stage import SampleStage, make_stage
 from recast_tools.planner_training.samples import (
     CLUES,
-    COLUMNS,
     DRIVER_FOLDER,
     EVERY,
     MEND,
@@ -51,14 +50,12 @@ from recast_tools.planner_training.samples import (
     write_world,
 )
 from recast_tools.planner_training.targets import column_values
-from recast_tools.planner_training.task import HALF_VIEWS
+from recast_tools.planner_training.task import COLUMN_LOOKS, HALF_VIEWS
 
 _SEEN = np.deg2rad(68.0)
 FIRST_SEED = 1000
 """First seed of training worlds; those below are for evaluation."""
 _WORLDS_PER_SEED = 100_000
-_LOOKS = 8
-"""Directions in which a column is looked at: a pedestrian 45 m away is met by one of them."""
 _TWINS = 0.25
 """Share of the drives with an actor whose samples are made once more without it."""
 _MOST_DRIVES = 20
@@ -325,11 +322,7 @@ def describe(
         scores=np.stack([found.scores for found in targets]),
         best=np.array([found.best for found in targets], np.int32),
         clues=_clues(stage, situation),
-        columns=column_values(
-            situation.states[0],
-            situation.obstacles,
-            HALF_VIEWS.directions(COLUMNS * _LOOKS).reshape(COLUMNS, _LOOKS),
-        ),
+        columns=column_values(situation.states[0], situation.obstacles, COLUMN_LOOKS),
         renderer=renderer,
     )
     return sample, possible[0], targets[0]

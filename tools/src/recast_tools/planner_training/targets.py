@@ -33,11 +33,13 @@ def column_values(
     """The nearest road user in each of W columns, (W, 6), see `COLUMN_VALUES`; 0 without one.
 
     A column is looked at in R directions: 20 m away it is 1.5 m wide, and one look in its middle
-    would miss most people.
+    would miss half of the people.
 
     Args:
         state: (11,) state of the ego, world.
-        directions: (W, R) angles against straight on, to the left positive.
+        obstacles: road users with their poses now and 0.1 s later, world.
+        directions: (W, R) angles against straight on, radians, to the left positive; those of a
+            column side by side, one or more.
     """
     columns, directions = len(directions), directions.ravel()
     found = np.zeros((len(directions), len(COLUMN_VALUES)), np.float32)

@@ -37,6 +37,7 @@ from recast.training.loop import StepLoss, StepRandom
 from recast.training.state import TrainerSettings, overridden
 from recast_tools.planner_training.samples import (
     CLUES,
+    COLUMNS,
     RENDERERS,
     Renderer,
     SampleStore,
@@ -71,6 +72,9 @@ HALF_VIEWS = ViewLayout(
     width=240, height=160, crop_rows=16, crop_columns=52, input_width=512, input_height=128
 )
 """The same rendered at half the size, for the training: a quarter of the cost."""
+COLUMN_LOOKS = HALF_VIEWS.directions(8 * COLUMNS).reshape(COLUMNS, 8)
+"""(32, 8) directions in which the columns are looked at, radians: a pedestrian 45 m away is met by
+one of them."""
 
 
 @dataclass(frozen=True)
