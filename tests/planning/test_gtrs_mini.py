@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from functools import cache, partial
+
 import numpy as np
 import pytest
 
@@ -32,8 +35,17 @@ def world() -> World:
     return make_world("urban-straight", 2, 4.0)
 
 
+Looking = Callable[..., dict[str, np.ndarray]]
+
+
+@pytest.fixture(scope="module")
+def look(world: World) -> Looking:
+    """`looking` in the world; planners share the pictures."""
+    return cache(partial(looking, world, Oracle(world)))
+
+
 def looking(
-    world: World, gap: float | None, back: float = 0.0, *, faces: bool = False
+    world: World, oracle: Oracle, gap: float | None, back: float = 0.0, *, faces: bool = False
 ) -> dict[str, np.ndarray]:
     """Pictures at half the size of runs from `back` metres behind a place, with a car standing
     `gap` metres ahead, or none; it `faces` the ego or shows its rear."""
@@ -48,7 +60,7 @@ def looking(
             pose[:3, :2] *= -1.0
         poses[world.target] = pose
     world_from_rig[:3, 3] -= back * world_from_rig[:3, 0]
-    oracle, rng = Oracle(world), np.random.default_rng(0)
+    rng = np.random.default_rng(0)
     return {
         name: oracle.render(
             mounted.camera,
@@ -68,20 +80,22 @@ def test_it_is_whole_and_small(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", SHIPPED)
-def test_it_drives_less_far_the_nearer_a_car_stands(world: World, name: str) -> None:
-    free, far, near = (planned_metres(world, name, gap) for gap in (None, 25.0, 12.0))
+def test_it_drives_less_far_the_nearer_a_car_stands(world: World, look: Looking, name: str) -> None:
+    free, far, near = (planned_metres(world, look, name, gap) for gap in (None, 25.0, 12.0))
     assert free > 20.0
     assert far < free - 3.0
     assert near < free - 12.0
 
 
 @pytest.mark.parametrize("name", SHIPPED)
-def test_it_stops_for_a_car_that_faces_it(world: World, name: str) -> None:
-    assert planned_metres(world, name, 25.0, faces=True) < 25.0
-    assert planned_metres(world, name, 12.0, faces=True) < 16.0
+def test_it_stops_for_a_car_that_faces_it(world: World, look: Looking, name: str) -> None:
+    assert planned_metres(world, look, name, 25.0, faces=True) < 25.0
+    assert planned_metres(world, look, name, 12.0, faces=True) < 16.0
 
 
-def planned_metres(world: World, name: str, gap: float | None, *, faces: bool = False) -> float:
+def planned_metres(
+    world: World, look: Looking, name: str, gap: float | None, *, faces: bool = False
+) -> float:
     """Metres that it plans to drive in 4 s at 9 m/s, a second after it first saw the car."""
     planner = make_planner(name)
     mounts = {
@@ -93,7 +107,7 @@ def planned_metres(world: World, name: str, gap: float | None, *, faces: bool = 
     for step, back in enumerate((1.0, 0.5, 0.0)):  # seconds
         metres_back = SPEED * back
         ahead = None if gap is None else gap + metres_back
-        images = looking(world, ahead, metres_back, faces=faces)
+        images = look(ahead, metres_back, faces=faces)
         seen = PlannerInput(
             step, 500_000 * step, state, state[None], (), DrivingCommand.STRAIGHT, images
         )

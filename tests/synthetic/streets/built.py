@@ -9,7 +9,7 @@ import numpy as np
 from recast.synthetic.streets import SCENES, make_street
 from recast.synthetic.world import Street
 
-LENGTH = 112.0
+LENGTH = 60.0
 
 
 @cache
