@@ -23,7 +23,7 @@ from recast.studies.study_database import SearchLine, StudyDatabase
 from support.synthetic_drives import drive
 
 TESTS = Path(__file__).parents[1]
-OPTIONS = ("--steps", "60", "--motion", "cut-in-a", "--trials", "20")
+OPTIONS = ("--steps", "40", "--motion", "cut-in-a", "--trials", "20")
 RANGES = ("--over", "gap=2:40", "--over", "initial_speed=0.3:1.0")
 
 

@@ -63,7 +63,7 @@ def drives(
 
 
 def test_drives_are_of_the_kinds_that_are_asked_for(stage: SampleStage) -> None:
-    found = [one.kind for one in drives(stage, 30, ("oncoming", "cut-in"))]
+    found = [one.kind for one in drives(stage, 12, ("oncoming", "cut-in"))]
     assert set(found) == {"oncoming", "cut-in"}
 
 
@@ -118,7 +118,7 @@ def test_an_expert_gets_through_most_drives(stage: SampleStage) -> None:
     """What no driver could master would teach nothing."""
     rng = np.random.default_rng(0)
     good = moments = 0
-    for drive in drives(stage, 8):
+    for drive in drives(stage, 5):
         while (found := drive.situation(1, rng)) is not None:
             state = found.states[0]
             possible = PRIMITIVES.trajectories(ego_status(found.command, state)[None])[0]
@@ -126,7 +126,7 @@ def test_an_expert_gets_through_most_drives(stage: SampleStage) -> None:
             moments += 1
             good += bool(told.total.max() > 0.5)
             drive.go(possible[told.best].astype(np.float64))
-    assert moments > 16
+    assert moments > 10
     assert good >= 0.9 * moments
 
 

@@ -62,6 +62,12 @@ def config(steps: int, **changes: object) -> PlannerTrainingConfig:
     return PlannerTrainingConfig(**(said | changes))
 
 
+@pytest.fixture(autouse=True)
+def short_settling(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The statistics of norms are those of few batches."""
+    monkeypatch.setattr("recast_tools.planner_training.train._SETTLING", 4)
+
+
 def change(world: Path, column: str, values: list[Any]) -> None:
     """Write other values into a column of a world's samples."""
     table = pq.read_table(world / SAMPLES_FILE)
@@ -206,8 +212,8 @@ def test_a_batch_holds_every_speed_of_a_picture(small_dataset: Path) -> None:
 
 def test_it_learns_to_look(small_dataset: Path, tmp_path: Path) -> None:
     """Some seconds suffice to tell a street with a red patch from one without."""
-    training = config(200, sheet_every=0, judged=2, batch=4).model_copy(
-        update={"trainer": TrainerSettings(steps=200, lr=5e-3, clip=2.0, log_every=200)}
+    training = config(80, sheet_every=0, judged=2, batch=4).model_copy(
+        update={"trainer": TrainerSettings(steps=80, lr=5e-3, clip=2.0, log_every=80)}
     )
     reached = train_planner([small_dataset], tmp_path / "out", training, QUIET)
     assert reached.gap > 0.0
