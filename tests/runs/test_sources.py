@@ -19,6 +19,8 @@ from recast.cli.main import main
 from recast.core import Artefact, Store, files
 from recast.logs import DrivingLog
 from recast.reconstruction import SceneConfig
+from recast.reconstruction.config import write_config
+from recast.reconstruction.train import CONFIG_FILE
 from recast.runs import making, sources
 from recast.runs.sources import SourceLog
 from support.moments import forked
@@ -307,3 +309,31 @@ def test_a_street_is_trained_again_where_a_file_of_bodies_was_edited(
             Path(path).write_bytes(content)
         found.append(making.train_street(maker, source, config, "street").reference)
     assert found[0] == found[1] != found[2]
+
+
+def test_a_refinement_is_made_again_where_a_file_of_bodies_was_edited(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    report = SimpleNamespace(kept=True, explain=str)
+    refined = SimpleNamespace(provenance=SimpleNamespace(refinement=report))
+    monkeypatch.setattr(making, "refine_actor", lambda *_: refined)
+    monkeypatch.setattr(making, "load_scene", lambda path: path)
+    maker = making.Maker(Store(tmp_path / "store"), Console(quiet=True))
+    files = {name: str(tmp_path / f"{name}.npz") for name in ("smpl_model", "smpl_poses")}
+    for name, config in (("street", SceneConfig(**files)), ("plain", SceneConfig())):
+        (tmp_path / name).mkdir()
+        write_config(config, tmp_path / name / CONFIG_FILE)
+
+    def made(name: str) -> str:
+        record = SimpleNamespace(name=name)
+        part = SimpleNamespace(path=tmp_path / name, reference=name, record=record)
+        return making.refine_vehicle(maker, part, part, 0).reference
+
+    found, plain = [], []
+    for content in (None, b"one", b"other"):
+        for path in files.values():
+            if content is not None:
+                Path(path).write_bytes(content)
+        found.append(made("street"))
+        plain.append(made("plain"))
+    assert len(set(found)) == 3 and len(set(plain)) == 1
